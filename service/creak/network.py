@@ -1,0 +1,254 @@
+"""Sums to levels: BLA, node-to-node network, distortion levels and p-values.
+
+Every residual of the method is a linear form ``e = g V`` of ``V = [U; R]``, so each variance is the quadratic form
+``g A g^H`` of a moment matrix of :class:`creak.statistics.Sums`. The rows ``g`` differ with the analysis:
+
+* classical, ``e = S U - Y`` (30): ``g = [0, -I]``;
+* networked, ``e_i = G_u,i u_i + sum_j G_ij y_j - y_i`` (36), the row of ``G`` estimated by (31)-(35).
+"""
+
+import numpy as np
+import scipy.special
+
+from creak.records import Complex, Estimate, NodeLevel, Real, Rig, Scope, Spectra
+from creak.statistics import Sums
+
+
+def node_to_node(sums: Sums, rig: Rig) -> tuple[Complex, Complex]:
+    """BLA from node to node (31)-(35).
+
+    For a dense network that is ``G_u,i = 1/(S^-1)_ii`` and ``G_ij = -(S^-1)_ij/(S^-1)_ii``. Where edges are
+    given, the rows of absent edges are left out and the rest is solved by least squares over all experiments.
+
+    Parameters
+    ----------
+    sums : Sums
+    rig : Rig
+        Every node is driven.
+
+    Returns
+    -------
+    G_u : array, (F, n)
+        From the input of a node to the node.
+    G_y : array, (F, n, n)
+        From node (column) to node (row); zero on the diagonal and at absent edges.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If ``S`` cannot be inverted, for instance because a sensor is dead.
+    """
+    n = rig.n
+    if rig.network is None:
+        inverse = np.linalg.inv(sums.S)
+        diagonal = np.einsum("fii->fi", inverse)
+        G_y = -inverse / diagonal[..., None]
+        G_y[:, np.arange(n), np.arange(n)] = 0.0
+        return 1.0 / diagonal, G_y
+    G_u = np.zeros((len(rig.lines), n), dtype=np.complex128)
+    G_y = np.zeros((len(rig.lines), n, n), dtype=np.complex128)
+    inputs = sums.between[:, :n, :n]  # P sum_e U U^H: how strongly each direction of the inputs was excited
+    factor = np.linalg.cholesky(inputs)
+    simulated = sums.S @ factor
+    for i, near in enumerate(_neighbours(rig)):
+        Z = np.concatenate((factor[:, i : i + 1], simulated[:, near]), axis=1)
+        # Inputs and motions differ by orders of magnitude; rows of unit length keep the pseudo-inverse sharp.
+        scale = np.linalg.norm(Z, axis=2)
+        row = np.einsum("fk,fkj->fj", simulated[:, i], np.linalg.pinv(Z / scale[..., None])) / scale
+        G_u[:, i] = row[:, 0]
+        G_y[:, i, near] = row[:, 1:]
+    return G_u, G_y
+
+
+def fitted_parameters(rig: Rig) -> Real:
+    """Complex parameters that the networked analysis fits at each node and line, d_i, ``(n,)``."""
+    if rig.network is None:
+        return np.full(rig.n, float(rig.n))
+    return np.array([1.0 + len(near) for near in _neighbours(rig)])
+
+
+def line_p_values(forms: Complex, sums: Sums, fitted: Real) -> Real:
+    """Probability per line and node of so large a residual if the structure is linear.
+
+    With ``r = P sum_e |mean_p e|^2 / (E - d)`` and ``w = sum_e sum_p |e - mean_p e|^2 / (E(P - 1))`` the ratio
+    ``r/w`` follows ``F(2(E - d), 2E(P - 1))`` for white sensor noise.
+
+    Parameters
+    ----------
+    forms : array, (F, n, q + n)
+        Rows g of the residuals.
+    sums : Sums
+        At least two periods and more experiments than fitted parameters.
+    fitted : array, (n,)
+        d, parameters fitted at each node.
+
+    Returns
+    -------
+    array, (F, n)
+    """
+    E, P = sums.experiments, sums.periods
+    free, noise_free = E - fitted, E * (P - 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = (_power(forms, sums.between) / free) / (_power(forms, sums.within) / noise_free)
+    return np.asarray(scipy.special.fdtrc(2 * free, 2 * noise_free, ratio), dtype=np.float64)
+
+
+def pooled_p_value(p: Real) -> Real:
+    """Combine the p-values of independent lines into one per node by Fisher's method.
+
+    ``-2 sum_k ln p_k`` follows a chi-square law of 2F degrees of freedom if all lines are linear (R. A. Fisher,
+    *Statistical Methods for Research Workers*, 4th ed., section 21.1).
+
+    Parameters
+    ----------
+    p : array, (F, n)
+
+    Returns
+    -------
+    array, (n,)
+        Uniform on [0, 1] if the structure is linear.
+    """
+    statistic = -2.0 * np.log(np.maximum(p, np.finfo(np.float64).tiny)).sum(axis=0)
+    return np.asarray(scipy.special.chdtrc(2.0 * len(p), statistic), dtype=np.float64)
+
+
+def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) -> Estimate:
+    """Levels and spectra of all nodes from the sums of at least one realisation.
+
+    Parameters
+    ----------
+    rig : Rig
+    sums : Sums
+    scope : Scope
+    time : int
+        Recorded time at the end of the last period, ns since the Unix epoch.
+    realisation : int
+        Index of the last realisation in the sums.
+
+    Returns
+    -------
+    Estimate
+        Quantities that the data do not carry are None (levels) or NaN (spectra), with the reason in
+        ``unavailable``.
+    """
+    unavailable = []
+    if sums.periods < 2:
+        unavailable.append("noise and nonlinear levels and p-values need two steady periods; there is one")
+    if sums.realisations < 2:
+        unavailable.append("total and nonlinear levels and p-values need two realisations; there is one")
+    forms = None
+    if not rig.square:
+        names = ", ".join(node.name for node in rig.nodes if node.input is None)
+        unavailable.append(f"networked levels need every node driven; without input: {names}")
+    else:
+        try:
+            forms = _networked_forms(rig, sums)
+        except np.linalg.LinAlgError:
+            unavailable.append(
+                "networked levels need a response matrix that can be inverted; this one is singular"
+            )
+    q, n, F = rig.q, rig.n, len(rig.lines)
+    eye = np.broadcast_to(np.eye(n, dtype=np.complex128), (F, n, n))
+    response = np.concatenate((sums.S, eye), axis=2)  # Y = S U + R
+    signal = _power(response, sums.between + sums.within) / (sums.experiments * sums.periods)
+    classical = np.concatenate((np.zeros((F, n, q), dtype=np.complex128), -eye), axis=2)
+    classical_total, classical_noise = _variances(classical, sums)
+    p_value = np.full(n, np.nan)
+    if forms is None:
+        total = noise = np.full((F, n), np.nan)
+    else:
+        total, noise = _variances(forms, sums)
+        if sums.periods > 1 and sums.realisations > 1:
+            p_value = pooled_p_value(line_p_values(forms, sums, fitted_parameters(rig)))
+    spectra = Spectra(
+        frequency=rig.frequencies,
+        signal=signal,
+        noise=noise,
+        total=total,
+        nonlinear=np.maximum(total - noise, 0.0),
+        classical_noise=classical_noise,
+        classical_total=classical_total,
+        classical_nonlinear=np.maximum(classical_total - classical_noise, 0.0),
+    )
+    return Estimate(
+        scope=scope,
+        time=time,
+        realisation=realisation,
+        realisations=sums.realisations,
+        experiments=sums.experiments,
+        periods=sums.periods,
+        nodes=tuple(_level(rig.nodes[i].name, i, spectra, p_value[i]) for i in range(n)),
+        spectra=spectra,
+        located=forms is not None,
+        unavailable=tuple(unavailable),
+    )
+
+
+def _neighbours(rig: Rig) -> list[list[int]]:
+    """Indices of the nodes that share an edge with each node, rising."""
+    names = [node.name for node in rig.nodes]
+    near: list[set[int]] = [set() for _ in names]
+    for a, b in rig.network or ():
+        i, j = names.index(a), names.index(b)
+        near[i].add(j)
+        near[j].add(i)
+    return [sorted(indices) for indices in near]
+
+
+def _networked_forms(rig: Rig, sums: Sums) -> Complex:
+    """Rows g of the networked residuals (36) in terms of ``V = [U; R]``, ``(F, n, 2n)``."""
+    G_u, G_y = node_to_node(sums, rig)
+    n = rig.n
+    pull = G_y - np.eye(n)  # acts on Y = S U + R
+    if rig.network is None:
+        on_inputs = np.zeros_like(sums.S)  # G_u + (G_y - I) S vanishes for a dense network
+    else:
+        on_inputs = pull @ sums.S
+        on_inputs[:, np.arange(n), np.arange(n)] += G_u
+    return np.concatenate((on_inputs, pull), axis=2)
+
+
+def _power(forms: Complex, moments: Complex) -> Real:
+    """Quadratic forms ``g A g^H`` per line and row, ``(F, n)``."""
+    return np.asarray(np.einsum("fij,fij->fi", forms @ moments, forms.conj()).real, dtype=np.float64)
+
+
+def _variances(forms: Complex, sums: Sums) -> tuple[Real, Real]:
+    """Total (39) and noise (40) variance of residuals, each ``(F, n)``; NaN where the data carry none."""
+    E, P = sums.experiments, sums.periods
+    none = np.full(forms.shape[:2], np.nan)
+    noise = _power(forms, sums.within) / (E * (P - 1)) if P > 1 else none
+    if sums.realisations < 2:
+        return none, noise
+    means = np.einsum("fij,pfj->pfi", forms, sums.period_sums) / E
+    about_zero = _power(forms, sums.between) + _power(forms, sums.within)
+    total = (about_zero - E * (np.abs(means) ** 2).sum(axis=0)) / (P * (E - 1))
+    return total, noise
+
+
+def _level(name: str, i: int, spectra: Spectra, p_value: float) -> NodeLevel:
+    """Band levels of node i: sums over the excited lines."""
+    noise, total = spectra.noise[:, i].sum(), spectra.total[:, i].sum()
+    classical_noise = spectra.classical_noise[:, i].sum()
+    classical_total = spectra.classical_total[:, i].sum()
+    return NodeLevel(
+        name=name,
+        signal_db=_db(spectra.signal[:, i].sum()),
+        noise_db=_db(noise),
+        total_db=_db(total),
+        nonlinear_db=_db(total - noise),
+        total_to_noise_db=_ratio_db(total, noise),
+        classical_noise_db=_db(classical_noise),
+        classical_total_db=_db(classical_total),
+        classical_total_to_noise_db=_ratio_db(classical_total, classical_noise),
+        p_value=float(p_value) if np.isfinite(p_value) else None,
+    )
+
+
+def _db(power: float) -> float | None:
+    """Level of a power in dB; None if it is not positive or not available."""
+    return float(10.0 * np.log10(power)) if power > 0 else None
+
+
+def _ratio_db(power: float, reference: float) -> float | None:
+    return _db(power / reference) if reference > 0 and power > 0 else None

@@ -1,0 +1,483 @@
+"""All that crosses a border inside creak, frozen, with the symbols and the axis order that the whole code uses.
+
+Symbols (those of the paper and of the field)::
+
+    n   nodes (measured points)         q   inputs (driven nodes), q <= n
+    N   samples a period                F   excited lines
+    M   realisations                    E   experiments, E = M q
+    P   steady-state periods of an experiment
+    u   inputs, time domain             U   inputs, DFT divided by N
+    y   responses, time domain          Y   responses, DFT divided by N
+    S   BLA from inputs to nodes        G   BLA from node to node
+
+Axis order: repetitions first, then frequency, then matrix; time runs last. A realisation's spectra are
+``(q, P, F, q + n)``, the matrix ``S`` is ``(F, n, q)``, a period frame holds ``u (q, N)`` and ``y (n, N)``.
+
+Times are integer nanoseconds since the Unix epoch and are the *recorded* time: that of the samples, not of the
+process that handles them. Levels are dB re 1 unit squared of the node's output, ``10 log10`` of a power.
+Realisations, experiments and periods are counted from 0, the transient periods included.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+Grid = Literal["full", "odd", "random-odd"]
+Hold = Literal["band-limited", "zero-order"]
+
+
+@dataclass(frozen=True)
+class Node:
+    """A measured point of the structure.
+
+    Parameters
+    ----------
+    name : str
+        Its name, unique in the rig.
+    output : str
+        Unit of the response.
+    input : str or None
+        Unit of the force or current that drives the node; None where it is not driven.
+    """
+
+    name: str
+    output: str
+    input: str | None = None
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What is measured: nodes, sampling and excited lines (the file ``rig.toml``).
+
+    Parameters
+    ----------
+    name : str
+    sample_rate : float
+        Samples a second, Hz.
+    period_samples : int
+        Samples a period, N.
+    transient_periods : int
+        Periods dropped at the start of every experiment.
+    lines : tuple of int
+        Excited lines as multiples of ``sample_rate / period_samples``, rising.
+    nodes : tuple of Node
+    grid, hold : str
+        Line grid, and what the input does between samples.
+    network : tuple of pairs of str, or None
+        Given edges between nodes; None for a dense network.
+    """
+
+    name: str
+    sample_rate: float
+    period_samples: int
+    transient_periods: int
+    lines: tuple[int, ...]
+    nodes: tuple[Node, ...]
+    grid: Grid = "full"
+    hold: Hold = "band-limited"
+    network: tuple[tuple[str, str], ...] | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of nodes."""
+        return len(self.nodes)
+
+    @property
+    def q(self) -> int:
+        """Number of inputs (driven nodes), which is also the number of experiments a realisation."""
+        return sum(node.input is not None for node in self.nodes)
+
+    @property
+    def driven(self) -> tuple[int, ...]:
+        """Indices of the driven nodes, in the order of the inputs."""
+        return tuple(i for i, node in enumerate(self.nodes) if node.input is not None)
+
+    @property
+    def square(self) -> bool:
+        """True if every node is driven, so that networked levels can exist."""
+        return self.q == self.n
+
+    @property
+    def frequencies(self) -> Real:
+        """Frequencies of the excited lines, Hz, ``(F,)``."""
+        return np.asarray(self.lines, dtype=np.float64) * (self.sample_rate / self.period_samples)
+
+    @property
+    def period_ns(self) -> float:
+        """Length of a period in nanoseconds."""
+        return 1e9 * self.period_samples / self.sample_rate
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """How the inputs were made.
+
+    Parameters
+    ----------
+    kind : str
+        ``multisine`` (random phases, orthogonal experiments) or ``measured`` (as the measurement has it).
+    rms : float or None
+        RMS value of every input in its unit; None if not known.
+    seed : int or None
+        Seed of the random phases; None if not known.
+    """
+
+    kind: Literal["multisine", "measured"]
+    rms: float | None = None
+    seed: int | None = None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a node alarms: clearance and significance together, K of the last N windows.
+
+    Parameters
+    ----------
+    total_to_noise_db : float
+        A window exceeds if its networked total-to-noise ratio lies above this, dB. At 3 dB the nonlinear
+        distortion is as strong as the noise.
+    p_value : float
+        ... and its pooled p-value lies below this.
+    dead_band_db : float
+        An alarm clears when the ratio has fallen this far below the limit, dB.
+    windows : int
+        N, windows looked back on.
+    exceeding : int
+        K, windows among them that must exceed to raise, or must lie below the dead band to clear.
+    """
+
+    total_to_noise_db: float = 3.0
+    p_value: float = 1e-3
+    dead_band_db: float = 1.0
+    windows: int = 3
+    exceeding: int = 2
+
+
+@dataclass(frozen=True)
+class Run:
+    """Opens a run: all that is known before the first frame.
+
+    Parameters
+    ----------
+    id : str
+        Unique and immutable.
+    rig : Rig
+    steady_periods : int
+        P, periods of every experiment that count after the transient ones.
+    start : int
+        Recorded time of the first sample, ns since the Unix epoch.
+    excitation : Excitation
+    source : str
+        Kind of the source: ``simulated``, ``measurement``, ``recording``, ``can``, ``stream``.
+    window : int
+        R, complete realisations over which live levels are taken.
+    limits : Limits
+    software : str
+        Version of creak.
+    """
+
+    id: str
+    rig: Rig
+    steady_periods: int
+    start: int
+    excitation: Excitation
+    source: str
+    window: int = 4
+    limits: Limits = field(default_factory=Limits)
+    software: str = ""
+
+    @property
+    def periods(self) -> int:
+        """Periods of an experiment, the transient ones included."""
+        return self.rig.transient_periods + self.steady_periods
+
+
+class FrameStatus(StrEnum):
+    """What became of a period frame."""
+
+    ACCEPTED = "accepted"
+    TRANSIENT = "transient"
+    REJECTED = "rejected"
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One period of all channels.
+
+    Parameters
+    ----------
+    realisation, experiment, period : int
+        Where it belongs; the period counts the transient ones.
+    time : int
+        Recorded time of its first sample, ns since the Unix epoch.
+    u : array, (q, N)
+        Inputs, in their units.
+    y : array, (n, N)
+        Responses, in their units.
+    status : FrameStatus
+        As the monitor judged it; a source leaves it ``accepted``.
+    reason : str
+        Why it was rejected.
+    """
+
+    realisation: int
+    experiment: int
+    period: int
+    time: int
+    u: Real
+    y: Real
+    status: FrameStatus = FrameStatus.ACCEPTED
+    reason: str = ""
+
+
+class FaultKind(StrEnum):
+    """What can go wrong with data."""
+
+    LOST = "lost"  # samples or frames that never came
+    NOT_FINITE = "not-finite"
+    WRONG_SHAPE = "wrong-shape"
+    DOUBLED = "doubled"
+    LATE = "late"  # a frame of a realisation that is closed already
+    OUT_OF_PLAN = "out-of-plan"  # an experiment or a period that the run does not have
+    INCOMPLETE = "incomplete"  # a realisation that closed with experiments missing
+    SINGULAR = "singular"  # a realisation whose input matrix cannot be inverted
+    DAMAGED = "damaged"  # a part of a recording that cannot be read
+    STORAGE = "storage"  # the disk is full
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Data that were refused or never came, counted and named.
+
+    Parameters
+    ----------
+    kind : FaultKind
+    time : int
+        Recorded time, ns since the Unix epoch.
+    message : str
+        One line for a person.
+    realisation, experiment, period : int or None
+        What it touches, as far as it is known.
+    """
+
+    kind: FaultKind
+    time: int
+    message: str
+    realisation: int | None = None
+    experiment: int | None = None
+    period: int | None = None
+
+
+@dataclass(frozen=True)
+class NodeLevel:
+    """Levels of one node over the excited lines; None where the data do not carry the quantity.
+
+    Parameters
+    ----------
+    name : str
+    signal_db : float or None
+        Mean over experiments and periods of the summed ``|Y|^2``; None if the channel is dead.
+    noise_db, total_db, nonlinear_db : float or None
+        Summed variances (40), (39), (41) of the networked residuals.
+    total_to_noise_db : float or None
+        Their ratio, networked.
+    classical_noise_db, classical_total_db : float or None
+        The same of the residuals from the inputs.
+    classical_total_to_noise_db : float or None
+    p_value : float or None
+        Probability, if the structure is linear, of a pooled node statistic at least this large.
+    """
+
+    name: str
+    signal_db: float | None
+    noise_db: float | None
+    total_db: float | None
+    nonlinear_db: float | None
+    total_to_noise_db: float | None
+    classical_noise_db: float | None
+    classical_total_db: float | None
+    classical_total_to_noise_db: float | None
+    p_value: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Power per excited line and node, unit squared; each ``(F, n)``, NaN where a quantity is not available.
+
+    Parameters
+    ----------
+    frequency : array, (F,)
+        Hz.
+    signal, noise, total, nonlinear : array, (F, n)
+        ``|Y|^2`` and the variances (40), (39), (41) of the networked residuals.
+    classical_noise, classical_total, classical_nonlinear : array, (F, n)
+        The same of the residuals from the inputs.
+    """
+
+    frequency: Real
+    signal: Real
+    noise: Real
+    total: Real
+    nonlinear: Real
+    classical_noise: Real
+    classical_total: Real
+    classical_nonlinear: Real
+
+
+@dataclass(frozen=True)
+class ElementShare:
+    """A place where distortion acts: between two nodes, or between a node and ``ground``."""
+
+    between: tuple[str, str]
+    share: float
+    confidence: float
+    separable: bool
+
+
+class Scope(StrEnum):
+    """Over what an estimate is taken."""
+
+    WINDOW = "window"  # the last R complete realisations
+    RUN = "run"  # all complete realisations of the run
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What the data say at one moment.
+
+    Parameters
+    ----------
+    scope : Scope
+    time : int
+        Recorded time at the end of its last period, ns since the Unix epoch.
+    realisation : int
+        Index of the last realisation in it.
+    realisations, experiments, periods : int
+        M, E and P behind it.
+    nodes : tuple of NodeLevel
+    spectra : Spectra
+    located : bool
+        True if the networked levels exist.
+    elements : tuple of ElementShare
+    unavailable : tuple of str
+        What the data do not carry, and why, a sentence each.
+    """
+
+    scope: Scope
+    time: int
+    realisation: int
+    realisations: int
+    experiments: int
+    periods: int
+    nodes: tuple[NodeLevel, ...]
+    spectra: Spectra
+    located: bool
+    elements: tuple[ElementShare, ...] = ()
+    unavailable: tuple[str, ...] = ()
+
+
+class AlarmState(StrEnum):
+    """State names of ISA-18.2."""
+
+    NORMAL = "normal"
+    UNACKNOWLEDGED = "unacknowledged"
+    ACKNOWLEDGED = "acknowledged"
+    RETURNED_UNACKNOWLEDGED = "returned_unacknowledged"
+    SHELVED = "shelved"
+    SUPPRESSED = "suppressed"
+    OUT_OF_SERVICE = "out_of_service"
+
+
+@dataclass(frozen=True)
+class AlarmChange:
+    """One change of one alarm occurrence; the newest change of an id is the alarm as it stands.
+
+    Parameters
+    ----------
+    id : str
+        Of the occurrence: constant over its changes, and the same in a replay.
+    rig, node : str
+    class_ : str
+        ``process`` or ``quality``.
+    severity : str
+        ``warning`` or ``alarm``.
+    event : str
+        ``raised``, ``cleared`` and so on.
+    state : AlarmState
+    active, acknowledged, shelved : bool
+    since : int
+        Recorded time at which the occurrence was raised, ns since the Unix epoch.
+    time : int
+        Recorded time of this change.
+    level_db : float
+        The node's networked total-to-noise ratio in the window that caused the change, dB.
+    """
+
+    id: str
+    rig: str
+    node: str
+    class_: Literal["process", "quality"]
+    severity: Literal["warning", "alarm"]
+    event: str
+    state: AlarmState
+    active: bool
+    acknowledged: bool
+    shelved: bool
+    since: int
+    time: int
+    level_db: float
+
+
+class RunStatus(StrEnum):
+    """How a run ended."""
+
+    COMPLETED = "completed"
+    INTERRUPTED = "interrupted"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What a run has handled so far.
+
+    Parameters
+    ----------
+    frames : int
+        Accepted steady frames of complete realisations.
+    rejected_frames : int
+        All other frames but the transient ones: refused ones, and good ones of realisations that did not
+        become complete.
+    transient_frames : int
+    realisations, experiments : int
+        Complete ones.
+    faults : mapping of str to int
+        By kind.
+    """
+
+    frames: int = 0
+    rejected_frames: int = 0
+    transient_frames: int = 0
+    realisations: int = 0
+    experiments: int = 0
+    faults: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RunEnd:
+    """Closes a run: how it ended, and what it counted."""
+
+    time: int
+    status: RunStatus
+    counts: Counts
+    message: str = ""
+
+
+Record = Run | Frame | Fault | Estimate | AlarmChange | RunEnd
+"""What sources yield, the monitor adds and sinks take."""
