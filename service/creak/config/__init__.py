@@ -1,0 +1,1 @@
+"""The only reader of configuration: rig, model and service files, and the environment."""

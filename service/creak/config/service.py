@@ -1,0 +1,234 @@
+"""The service file ``creak.toml`` and the environment that overrides it."""
+
+import ipaddress
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_settings import (
+    BaseSettings,
+    EnvSettingsSource,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+    SettingsError,
+)
+
+from creak.config.validation import explain, parse_toml, read_text
+from creak.errors import ConfigurationError
+from creak.records import Limits
+
+PREFIX = "CREAK_"
+"""Environment variables that override keys: ``CREAK_SERVER__PORT=8400`` sets ``server.port``."""
+
+Count = Annotated[int, Field(ge=1, strict=True)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ServerTable(_Strict):
+    """``[server]``: where the API listens."""
+
+    host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8300
+
+
+class StoreTable(_Strict):
+    """``[store]``: where the state lies; empty means SQLite in the data directory."""
+
+    url: str = ""
+
+
+class WebhooksTable(_Strict):
+    """``[webhooks]``: networks beyond the public ones where receivers may live."""
+
+    allow: list[str] = []
+
+    @field_validator("allow")
+    @classmethod
+    def _networks(cls, allow: list[str]) -> list[str]:
+        for network in allow:
+            ipaddress.ip_network(network)
+        return allow
+
+
+class RecordingTable(_Strict):
+    """``[recording]``: when a new part of a recording is begun, at the next whole realisation."""
+
+    max_bytes: Count = 2_000_000_000
+    max_seconds: Positive = 86_400.0
+
+
+class LimitsTable(_Strict):
+    """``[rigs.limits]``: when a node alarms."""
+
+    total_to_noise_db: Annotated[float, Field(allow_inf_nan=False)] = Limits.total_to_noise_db
+    p_value: Annotated[float, Field(gt=0, lt=1)] = Limits.p_value
+    dead_band_db: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Limits.dead_band_db
+    windows: Count = Limits.windows
+    exceeding: Count = Limits.exceeding
+
+    @model_validator(mode="after")
+    def _k_of_n(self) -> Self:
+        if self.exceeding > self.windows:
+            raise ValueError(
+                f"exceeding: {self.exceeding} is not allowed: should be at most 'windows' ({self.windows})"
+            )
+        return self
+
+    def limits(self) -> Limits:
+        """The record that the monitor takes."""
+        return Limits(**self.model_dump())
+
+
+class SimulatedSource(_Strict):
+    """``[rigs.source]`` of kind simulated: the rig's model plays the rig."""
+
+    kind: Literal["simulated"]
+    rms: Positive = 1.0
+    snr_db: Annotated[float, Field(allow_inf_nan=False)] | None = 40.0
+    seed: Annotated[int, Field(ge=0)] = 1
+    steady_periods: Count = 2
+    realisations: Count | None = None
+    pace: Annotated[float, Field(gt=0)] | None = 1.0
+
+
+class RecordingSource(_Strict):
+    """``[rigs.source]`` of kind recording: parts of one recorded run, in order."""
+
+    kind: Literal["recording"]
+    files: Annotated[list[Path], Field(min_length=1)]
+
+
+class ForeignSource(_Strict):
+    """``[rigs.source]`` of a kind that this version does not read yet."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    kind: Literal["can", "stream"]
+
+    @model_validator(mode="after")
+    def _refuse(self) -> Self:
+        raise ValueError(f"kind: {self.kind!r} is not read by this version: should be 'simulated' or 'recording'")
+
+
+SourceTable = Annotated[SimulatedSource | RecordingSource | ForeignSource, Field(discriminator="kind")]
+
+
+class RigTable(_Strict):
+    """One of ``[[rigs]]``."""
+
+    rig: Path
+    model: Path | None = None
+    window: Count = 4
+    limits: LimitsTable = LimitsTable()
+    source: SourceTable
+
+    @model_validator(mode="after")
+    def _a_simulated_rig_has_a_model(self) -> Self:
+        if self.source.kind == "simulated" and self.model is None:
+            raise ValueError("model: is missing; a simulated source needs one")
+        return self
+
+
+class ServiceSettings(BaseSettings):
+    """All of ``creak.toml``, overridden from the environment."""
+
+    model_config = SettingsConfigDict(
+        env_prefix=PREFIX, env_nested_delimiter="__", extra="forbid", frozen=True, hide_input_in_errors=False
+    )
+
+    data: Path = Path("var")
+    server: ServerTable = ServerTable()
+    store: StoreTable = StoreTable()
+    webhooks: WebhooksTable = WebhooksTable()
+    recording: RecordingTable = RecordingTable()
+    rigs: Annotated[list[RigTable], Field(min_length=1)]
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """The environment wins over the file (which is handed over as the initial values)."""
+        return EnvSettingsSource(settings_cls), init_settings
+
+    @property
+    def store_url(self) -> str:
+        """URL of the store."""
+        return self.store.url or f"sqlite:///{self.data / 'creak.db'}"
+
+
+def parse_service(tables: dict[str, Any], source: str, base: Path) -> ServiceSettings:
+    """Service settings from the tables of a service file and the environment.
+
+    Parameters
+    ----------
+    tables : dict
+        As TOML gives them.
+    source : str
+        Name of the file, for messages.
+    base : Path
+        Directory from which relative paths are counted.
+
+    Raises
+    ------
+    ConfigurationError
+        One line that names the file or the environment variable, the key and the value.
+    """
+    try:
+        settings = ServiceSettings(**tables)
+    except ValidationError as error:
+        raise explain(error, _origin(error, source)) from None
+    except SettingsError as error:
+        raise ConfigurationError("environment", "", str(error).splitlines()[0]) from None
+    return settings.model_copy(
+        update={
+            "data": base / settings.data,
+            "store": StoreTable(url=_anchored(settings.store.url, base)),
+            "rigs": [_anchored_rig(rig, base) for rig in settings.rigs],
+        }
+    )
+
+
+def load_service(path: Path) -> ServiceSettings:
+    """Service settings from a file and the environment.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file cannot be read or holds what is not allowed.
+    """
+    return parse_service(parse_toml(read_text(path), str(path)), str(path), path.parent)
+
+
+def _origin(error: ValidationError, source: str) -> str:
+    """The environment variable that set a wrong value, or else the file."""
+    location = [str(part) for part in error.errors()[0]["loc"]]
+    for depth in range(len(location), 0, -1):
+        name = PREFIX + "__".join(location[:depth]).upper()
+        if name in {key.upper() for key in os.environ}:
+            return f"environment variable {name}"
+    return source
+
+
+def _anchored(url: str, base: Path) -> str:
+    """A SQLite URL with a relative path, counted from the service file."""
+    scheme, separator, path = url.partition(":///")
+    if not separator or not scheme.startswith("sqlite") or path.startswith(("/", ":memory:")) or not path:
+        return url
+    return f"{scheme}:///{base / path}"
+
+
+def _anchored_rig(rig: RigTable, base: Path) -> RigTable:
+    source = rig.source
+    if isinstance(source, RecordingSource):
+        source = source.model_copy(update={"files": [base / file for file in source.files]})
+    model = None if rig.model is None else base / rig.model
+    return rig.model_copy(update={"rig": base / rig.rig, "model": model, "source": source})
