@@ -1,0 +1,1 @@
+"""Where records go: the store that the API reads, and the recording."""

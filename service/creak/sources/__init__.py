@@ -1,0 +1,1 @@
+"""Where period frames come from: a simulated rig, a measurement, a recording."""

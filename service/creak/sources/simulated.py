@@ -1,0 +1,243 @@
+"""A rig that is simulated: time stepping of a model, and white sensor noise."""
+
+import math
+import os
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final
+
+import numpy as np
+
+from creak import __version__
+from creak.errors import ConfigurationError
+from creak.mechanics.newmark import Resolution, Stepper, choose_substeps
+from creak.mechanics.system import Model, System, assemble
+from creak.multisine import realisation as multisine
+from creak.records import Excitation, Frame, Limits, Real, Rig, Run
+
+SENSOR_NOISE: Final = 1
+"""Purpose of the random stream ``SeedSequence((seed, realisation, purpose))``; the excitation's is 0."""
+
+
+class SimulatedRig:
+    """A model on a rig, excited by multisines, as a source of period frames.
+
+    Every experiment starts from rest. Realisation m is the same whatever came before it, so a run can be
+    made again from its parameters alone. The noise is white and Gaussian, its strength per node fixed by the
+    first realisation's noise-free steady response.
+
+    Parameters
+    ----------
+    rig : Rig
+    model : Model
+    steady_periods : int
+        P, periods of every experiment that count after the transient ones.
+    rms : float
+        RMS value of every input in its unit.
+    seed : int
+        Of excitation and noise.
+    snr_db : float or None
+        Ratio of response to noise power at every node, over all lines, dB; None for no noise.
+    realisations : int or None
+        How many; None for as many as are asked for.
+    start : int
+        Recorded time of the first sample, ns since the Unix epoch.
+    pace : float or None
+        Recorded seconds a second: at 1.0 a frame comes when its last sample would have been taken; None for
+        as fast as possible. `pace` may be set while frames are taken.
+    changes : sequence of (int, Model)
+        From these realisations on another model acts.
+    run_id : str
+        Unique id of the run.
+    window : int
+        Realisations over which live levels are taken.
+    limits : Limits or None
+        Alarm limits; None for the usual ones.
+
+    Raises
+    ------
+    ConfigurationError
+        If a model does not fit the rig, or a parameter is out of range; it is named.
+
+    Notes
+    -----
+    The number of time steps a sample is chosen for every model when its first realisation comes, so that
+    the stepping error lies 10 dB below the noise; see `resolution`.
+    """
+
+    live: bool = False  # a simulation can wait
+
+    def __init__(
+        self,
+        rig: Rig,
+        model: Model,
+        *,
+        steady_periods: int,
+        rms: float,
+        seed: int,
+        snr_db: float | None = None,
+        realisations: int | None = None,
+        start: int = 0,
+        pace: float | None = None,
+        changes: Sequence[tuple[int, Model]] = (),
+        run_id: str = "simulated",
+        window: int = 4,
+        limits: Limits | None = None,
+    ) -> None:
+        _check("steady_periods", steady_periods, steady_periods >= 1, "1 or more")
+        _check("rms", rms, 0 < rms < math.inf, "finite and greater than 0")
+        _check("seed", seed, seed >= 0, "0 or greater")
+        _check("snr_db", snr_db, snr_db is None or math.isfinite(snr_db), "finite")
+        _check("realisations", realisations, realisations is None or realisations >= 1, "1 or more")
+        _check_pace(pace)
+        self.run = Run(
+            id=run_id,
+            rig=rig,
+            steady_periods=steady_periods,
+            start=start,
+            excitation=Excitation("multisine", rms=rms, seed=seed),
+            source="simulated",
+            window=window,
+            limits=limits or Limits(),
+            software=__version__,
+        )
+        self.resolution: Resolution | None = None
+        """Steps a sample of the model that acts now, and their error; None before the first realisation."""
+        self._systems = [(0, assemble(model, rig))]
+        self._systems += [(m, assemble(other, rig)) for m, other in sorted(changes, key=lambda change: change[0])]
+        self._rms = rms
+        self._seed = seed
+        self._snr_db = snr_db
+        self._realisations = realisations
+        self._wake = threading.Condition()
+        self._closed = False
+        self._pace = pace
+
+    @property
+    def pace(self) -> float | None:
+        """Recorded seconds a second, None for as fast as possible; a change acts at once."""
+        return self._pace
+
+    @pace.setter
+    def pace(self, pace: float | None) -> None:
+        _check_pace(pace)
+        with self._wake:
+            self._pace = pace
+            self._wake.notify_all()
+
+    def close(self) -> None:
+        """End `frames` soon, also from another thread and while it waits."""
+        with self._wake:
+            self._closed = True
+            self._wake.notify_all()
+
+    def frames(self) -> Iterator[Frame]:
+        """Simulate realisation by realisation and yield its frames, the transient ones included.
+
+        Yields
+        ------
+        Frame
+
+        Raises
+        ------
+        SimulationError
+            If the time stepping fails.
+        """
+        run = self.run
+        stepper: Stepper | None = None
+        stepped: System | None = None
+        sigma: Real | None = None
+        due = time.monotonic()
+        index = 0
+        with ThreadPoolExecutor(min(run.rig.q, os.cpu_count() or 1), "creak-simulation") as pool:
+            m = 0
+            while (self._realisations is None or m < self._realisations) and not self._closed:
+                inputs = multisine(run.rig, self._rms, self._seed, m)
+                system = self._system(m)
+                if stepper is None or system is not stepped:
+                    stepper, stepped = self._stepper(system, inputs[0]), system
+                if stepper is None:
+                    return
+                responses = self._simulate(pool, stepper, inputs)
+                if responses is None:
+                    return
+                if sigma is None:
+                    sigma = self._noise_level(responses)
+                rng = np.random.default_rng(np.random.SeedSequence((self._seed, m, SENSOR_NOISE)))
+                for experiment in range(run.rig.q):
+                    for period in range(run.periods):
+                        y = responses[experiment, period]
+                        y = y + sigma[:, None] * rng.standard_normal(y.shape)
+                        due = self._wait(due)
+                        if self._closed:
+                            return
+                        at = run.start + round(index * run.rig.period_ns)
+                        yield Frame(m, experiment, period, at, inputs[experiment], y)
+                        index += 1
+                m += 1
+
+    def _system(self, m: int) -> System:
+        """Return the system that acts in realisation m."""
+        return [system for begin, system in self._systems if begin <= m][-1]
+
+    def _stepper(self, system: System, u: Real) -> Stepper | None:
+        """Choose the steps a sample; None if the source was closed meanwhile."""
+        rig = self.run.rig
+        noise_db = None if self._snr_db is None else -self._snr_db
+        resolution = choose_substeps(
+            system, rig.sample_rate, rig.hold, u, rig.transient_periods + 1, noise_db, lambda: self._closed
+        )
+        if resolution is None:
+            return None
+        self.resolution = resolution
+        return Stepper(system, rig.sample_rate, resolution.substeps, rig.hold)
+
+    def _simulate(self, pool: ThreadPoolExecutor, stepper: Stepper, inputs: Real) -> Real | None:
+        """All experiments of a realisation, ``(q, periods, n, N)``; None if the source was closed meanwhile."""
+        rig = self.run.rig
+        out = np.empty((rig.q, self.run.periods, rig.n, rig.period_samples))
+
+        def simulate(experiment: int) -> None:
+            for period, y in enumerate(stepper.experiment(inputs[experiment], self.run.periods)):
+                out[experiment, period] = y
+                if self._closed:
+                    return
+
+        list(pool.map(simulate, range(rig.q)))
+        return None if self._closed else out
+
+    def _noise_level(self, responses: Real) -> Real:
+        """Give the standard deviation of the noise at every node."""
+        if self._snr_db is None:
+            return np.zeros(self.run.rig.n)
+        steady = responses[:, self.run.rig.transient_periods :]
+        return np.asarray(np.sqrt(np.mean(steady**2, axis=(0, 1, 3))) * 10 ** (-self._snr_db / 20))
+
+    def _wait(self, due: float) -> float:
+        """Wait until a period's last sample would have been taken; return when that was.
+
+        A simulation that has fallen behind does not rush to catch up: the next period counts from now.
+        """
+        left = self.run.rig.period_samples / self.run.rig.sample_rate
+        begun = due
+        with self._wake:
+            while not self._closed and self._pace is not None:
+                now = time.monotonic()
+                pace = self._pace
+                if now - begun >= left / pace:
+                    return max(begun + left / pace, now - 0.1)
+                self._wake.wait(left / pace - (now - begun))
+                left -= (time.monotonic() - begun) * pace
+                begun = time.monotonic()
+        return time.monotonic()
+
+
+def _check(key: str, value: object, allowed: bool, rule: str) -> None:
+    if not allowed:
+        raise ConfigurationError("simulated rig", key, f"{value!r}, must be {rule}")
+
+
+def _check_pace(pace: float | None) -> None:
+    _check("pace", pace, pace is None or 0 < pace < math.inf, "finite and greater than 0")
