@@ -1,0 +1,179 @@
+"""What other programs rely on: metrics, health, the OpenAPI document, and the page that browsers load."""
+
+import json
+import re
+import time
+
+import pytest
+from fastapi.openapi.models import OpenAPI
+from prometheus_client.parser import text_string_to_metric_families
+
+from api_client import V1, assert_problem, get, serving
+from creak.api import create_app
+from creak.records import Counts, RunEnd, RunStatus
+from creak.sinks.database import open_store
+from store_records import (
+    SECOND,
+    START,
+    fill_beam,
+    make_frame,
+    make_run,
+    opened,
+)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    opened_store = open_store(f"sqlite:///{tmp_path_factory.mktemp('api')}/creak.db")
+    fill_beam(opened_store)
+    yield opened_store
+    opened_store.close()
+
+
+@pytest.fixture(scope="module")
+def client(store):
+    """A server over a store with two rigs: the beam, measured, with an alarm; and a bench that has just begun."""
+    with serving(create_app(store)) as client:
+        yield client
+
+
+def test_metrics(client):
+    text = client.get("/metrics").text
+    values = {
+        (sample.name, *sorted(sample.labels.items())): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+    def value(name, **labels):
+        return values[(name, *sorted(labels.items()))]
+
+    assert value("creak_frames_total", rig="beam", status="accepted") == 48
+    assert value("creak_frames_total", rig="beam", status="transient") == 24
+    assert value("creak_realisations_total", rig="beam") == 8
+    assert value("creak_faults_total", rig="beam", kind="lost") == 1
+    assert value("creak_faults_total", rig="beam", kind="late") == 0
+    assert value("creak_node_level_db", rig="beam", node="3", quantity="total_to_noise") == 12.0
+    assert value("creak_node_alarm", rig="beam", node="3", creak_node_alarm="unacknowledged") == 1
+    assert value("creak_node_alarm", rig="beam", node="1", creak_node_alarm="normal") == 1
+    assert value("creak_last_recorded_timestamp_seconds", rig="beam") == START / 1e9 + 8
+    assert value("creak_run_running", rig="beam") == 1
+    assert "creak_build_info{" in text
+    openmetrics = client.get("/metrics", headers={"Accept": "application/openmetrics-text; version=1.0.0"})
+    assert openmetrics.text.endswith("# EOF\n")
+
+
+def test_readiness_tells_a_dead_worker_from_a_live_one(tmp_path):
+    """Kills a service that is ready though nobody measures."""
+    now = [time.time_ns()]
+    url = f"sqlite:///{tmp_path}/creak.db"
+    store = open_store(url)
+    run = make_run()
+
+    def complaint(client):
+        return assert_problem(client.get("/readyz"), 503, "not-ready")["detail"]
+
+    with serving(create_app(url, rigs_expected=["beam"])) as client:
+        assert complaint(client) == "rig 'beam': no worker has opened a run yet"
+        sink = opened(store, run, clock=lambda: now[0])
+        assert complaint(client) == "rig 'beam': it has not sent a frame yet"
+        sink.take(make_frame(run, 0))
+        sink.tick(1.0)
+        assert get(client, "/readyz") == {"status": "ready", "rigs": ["beam"]}
+        now[0] -= 100 * SECOND
+        sink.tick(10.0)
+        assert re.fullmatch(r"rig 'beam': its worker has not written for 1\d\d s", complaint(client))
+        sink.take(make_frame(run, 0))
+        now[0] += 100 * SECOND
+        sink.tick(20.0)
+        assert re.fullmatch(r"rig 'beam': it has sent no frame for 1\d\d s", complaint(client))
+        sink.close(RunEnd(START, RunStatus.FAILED, Counts(), "the rig is silent"))
+        assert complaint(client) == "rig 'beam': its run ended as failed (the rig is silent)"
+        sink.close(RunEnd(START, RunStatus.COMPLETED, Counts()))
+        assert get(client, "/readyz")["status"] == "ready"
+    store.close()
+
+
+def operations(client):
+    document = get(client, "/openapi.json")
+    return document, {path: item["get"] for path, item in document["paths"].items() if assert_only_get(path, item)}
+
+
+def assert_only_get(path, item):
+    assert list(item) == ["get"], path
+    return True
+
+
+def test_openapi_document_is_valid_and_whole(client):
+    """Kills a reference to nowhere, a route of the contract that is missing, and one without documented errors."""
+    document, routes = operations(client)
+    OpenAPI.model_validate(document)
+    for reference in set(re.findall(r'"#/([^"]+)"', json.dumps(document))):
+        found = document
+        for key in reference.split("/"):
+            found = found[key]
+    rigs = ["", "/{rig}", "/{rig}/nodes", "/{rig}/nodes/{node}", "/{rig}/nodes/{node}/spectrum"]
+    expected = {f"{V1}/rigs{path}" for path in [*rigs, "/{rig}/elements", "/{rig}/history"]}
+    expected |= {f"{V1}/{path}" for path in ("alarms", "alarms/{alarm}", "recordings", "events")}
+    assert set(routes) == expected | {"/healthz", "/readyz", "/metrics"}
+    assert len({route["operationId"] for route in routes.values()}) == len(routes)
+    for path, route in routes.items():
+        problems = {status: answer for status, answer in route["responses"].items() if status != "200"}
+        assert path == "/healthz" or {"500", "503"} <= set(problems)
+        assert ("404" in problems) == ("{" in path)
+        assert ("422" in problems) == any(
+            p["in"] in {"query", "path", "header"} for p in route.get("parameters", [])
+        )
+        for answer in problems.values():
+            assert list(answer["content"]) == ["application/problem+json"]
+
+
+def test_examples_are_what_the_routes_answer(client):
+    """Kills an example that has gone stale: its keys must be those of a real answer."""
+    _, routes = operations(client)
+    for path, route in routes.items():
+        (content,) = [answer["content"] for status, answer in route["responses"].items() if status == "200"]
+        ((media_type, shown),) = content.items()
+        assert shown["example"]
+        if media_type != "application/json":
+            continue
+        real = client.get(path.format(rig="beam", node="3", alarm="beam-1%2F3%2F0"))
+        body = real.json() if real.status_code == 200 else {"status": "ready", "rigs": []}
+        assert shape(shown["example"]) == shape(body), path
+
+
+def shape(value):
+    """Keys of a body, with the first item of a list for all; free tables and strings are their own matter."""
+    if isinstance(value, dict):
+        free = {"faults", "alarms", "limits", "excitation"}
+        return {key: None if key in free else shape(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [shape(value[0])] if value and isinstance(value[0], dict) else None
+    return None
+
+
+# --- the page --------------------------------------------------------------------------------------------------
+
+
+def test_page_needs_nothing_from_elsewhere(client):
+    """Kills a remote script, and an inline one that the policy would stop."""
+    answer = client.get("/")
+    assert answer.headers["content-type"].startswith("text/html")
+    policy = dict(item.split(" ", 1) for item in answer.headers["content-security-policy"].split("; "))
+    assert (policy["default-src"], policy["script-src"]) == ("'none'", "'self'")
+    assert not re.search(r"https?://|<script>|<style|\son\w+=|style=", answer.text)
+    linked = re.findall(r'(?:src|href)="(static/[^"]+)"', answer.text)
+    assert len(linked) == 2
+    for path in linked:
+        part = client.get(f"/{path}")
+        assert part.status_code == 200
+        assert "http" not in part.text
+        assert part.headers["x-content-type-options"] == "nosniff"
+
+
+def test_every_answer_is_guarded(client):
+    for path in (f"{V1}/rigs", "/metrics", "/openapi.json", "/nosuch"):
+        headers = client.get(path).headers
+        assert headers["content-security-policy"].startswith("default-src 'none'")
+        assert headers["cache-control"] == "no-store"
+        assert "server" not in headers
