@@ -1,0 +1,68 @@
+"""The command ``creak``."""
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from creak.cli import recordings, service
+from creak.errors import CreakError, InputError
+
+# typer carries a click of its own and exports this one of its errors; what it derives from are all the others.
+_UsageError: type[Exception] = typer.BadParameter.__bases__[0]
+
+app = typer.Typer(
+    name="creak",
+    help="Hears where a structure stops being linear.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+service.add_to(app)
+recordings.add_to(app)
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Those of the process by default.
+
+    Returns
+    -------
+    int
+        0 done, 1 the run failed, 2 the user's input is wrong; what is wrong stands in one line on standard error.
+    """
+    try:
+        code = app(args=arguments, standalone_mode=False)
+    except _UsageError as error:
+        return _say(_one_line(str(getattr(error, "format_message", error.__str__)())), 2)
+    except InputError as error:
+        return _say(_one_line(str(error)), 2)
+    except CreakError as error:
+        return _say(_one_line(str(error)), 1)
+    except (KeyboardInterrupt, typer.Abort):
+        return _say("interrupted", 130)
+    except BrokenPipeError:
+        sys.stderr.close()  # whoever read our output has gone; there is nobody to tell
+        return 1
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _say(_one_line(f"{where}{error.strerror or error}"), 1)
+    return code if isinstance(code, int) else 0
+
+
+def main() -> None:
+    """Entry point of the command."""
+    sys.exit(run())
+
+
+def _say(line: str, code: int) -> int:
+    sys.stderr.write(f"creak: {line}\n")
+    return code
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

@@ -1,0 +1,5 @@
+"""``python -m creak.cli``."""
+
+from creak.cli import main
+
+main()

@@ -1,0 +1,254 @@
+"""Commands that run the service: serve and demo."""
+
+import contextlib
+import logging
+import signal
+import socket
+import time
+import uuid
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import replace
+from importlib.resources import as_file, files
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+
+from creak.api import Server, create_app, listen_on
+from creak.cli.display import LiveLevels
+from creak.cli.recordings import replay_line
+from creak.config.model import load_model
+from creak.config.rig import load_rig
+from creak.config.service import (
+    RecordingSource,
+    RigTable,
+    ServiceSettings,
+    SimulatedSource,
+    load_service,
+    parse_service,
+)
+from creak.errors import ConfigurationError, RecordingError, ServiceError, StorageError
+from creak.records import Estimate, Rig, Run, RunEnd
+from creak.sinks.catalogue import CataloguedRecorder
+from creak.sinks.protocol import Sink
+from creak.sinks.recorder import Recorder
+from creak.sinks.store import StoreSink, open_store
+from creak.sources.protocol import Source
+from creak.sources.recording import Recording
+from creak.sources.simulated import SimulatedRig
+from creak.worker import Worker
+
+_log = logging.getLogger(__name__)
+
+_STOP_SECONDS = 2.5
+
+_DEMO_HEALTHY = 5  # realisations before the spring appears
+_DEMO_QUICK = 10  # realisations that are played quickly, as the rig's past; then it goes on in real time
+_DEMO_PACE = 36.0  # recorded seconds a second while it is quick: 72 s a realisation become 2 s
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the commands."""
+    app.command()(demo)
+    app.command()(serve)
+
+
+def serve(config: Annotated[Path, typer.Argument(help="Service file (creak.toml).")]) -> int:
+    """Run the service: rigs, store, API, recordings.
+
+    Example: `creak serve creak.toml`
+    """
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    settings = load_service(config)
+    rigs = [load_rig(table.rig) for table in settings.rigs]
+    names = [rig.name for rig in rigs]
+    for index, name in enumerate(names):
+        if names.index(name) != index:
+            raise ConfigurationError(
+                str(config), f"rigs[{index}].rig", f"{name!r} stands twice; rigs have unique names"
+            )
+    sources = [_source(table, rig) for table, rig in zip(settings.rigs, rigs, strict=True)]
+    with closing(listen_on(settings.server.host, settings.server.port)) as listener:
+        return _run(settings, sources, listener, [[] for _ in sources])
+
+
+def demo(
+    *,
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port of the API; 8300 if not given.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", help="Directory; creak-demo if not given.")] = None,
+) -> int:
+    """Run the flexible-beam rig, live, until Ctrl-C: after some healthy realisations a spring appears at node 3.
+
+    Example: `creak demo --port 8300 --output creak-demo`
+    """
+    logging.basicConfig(level=logging.ERROR, format="%(levelname)s %(name)s: %(message)s")
+    with as_file(files("creak") / "examples" / "beam") as example:
+        settings = _demo_settings(example, port, output)
+        table = settings.rigs[0]
+        rig = load_rig(table.rig)
+        source = _simulated(table, rig, changes=[(_DEMO_HEALTHY, example / "model-cubic.toml")], past=_DEMO_QUICK)
+    with closing(listen_on(settings.server.host, settings.server.port)) as listener:
+        _empty_store(settings)
+        host, number, *_ = listener.getsockname()
+        display = LiveLevels(
+            (
+                f"{rig.name}: http://{host}:{number}, recorded in {settings.data}",
+                f"a spring appears at node 3 after {_DEMO_HEALTHY} healthy realisations; Ctrl-C ends the demo",
+            )
+        )
+        return _run(settings, [source], listener, [[display, _IntoThePresent(source)]])
+
+
+def _demo_settings(example: Path, port: int | None, output: Path | None) -> ServiceSettings:
+    tables = {
+        "data": "creak-demo",
+        "rigs": [
+            {
+                "rig": str((example / "rig.toml").absolute()),
+                "model": str((example / "model.toml").absolute()),
+                "window": 2,  # as in the paper: its six experiments are two realisations of three
+                "source": {
+                    "kind": "simulated",
+                    "rms": 0.02,
+                    "steady_periods": 3,
+                    "seed": int(time.time()),
+                    "pace": _DEMO_PACE,
+                },
+            }
+        ],
+    }
+    settings = parse_service(tables, "demo", Path())
+    given: dict[str, object] = {}
+    if port is not None:
+        given["server"] = settings.server.model_copy(update={"port": port})
+    if output is not None:
+        given["data"] = output
+    return settings.model_copy(update=given)
+
+
+class _IntoThePresent:
+    """Sink that lets the demo go on in real time once its quick past has been played."""
+
+    def __init__(self, source: SimulatedRig) -> None:
+        self._source = source
+
+    def open(self, run: Run) -> None:
+        pass
+
+    def take(self, record: object) -> None:
+        if isinstance(record, Estimate) and record.realisation >= _DEMO_QUICK - 1:
+            self._source.pace = 1.0
+
+    def tick(self, now: float) -> None:
+        pass
+
+    def close(self, end: RunEnd) -> None:
+        pass
+
+
+def _empty_store(settings: ServiceSettings) -> None:
+    """Every demo begins with no history: an alarm in its list is its own."""
+    if not settings.store.url:
+        for suffix in ("", "-wal", "-shm"):
+            (settings.data / f"creak.db{suffix}").unlink(missing_ok=True)
+
+
+def _source(table: RigTable, rig: Rig) -> Source:
+    """The source of one rig of the service file."""
+    if isinstance(table.source, SimulatedSource):
+        return _simulated(table, rig)
+    if isinstance(table.source, RecordingSource):
+        recording = Recording(*table.source.files)
+        if replace(recording.run.rig, grid=rig.grid) != rig:
+            raise RecordingError(
+                f"{recording.paths[0]}: is a recording of another rig ({recording.run.rig.name!r}) "
+                f"than {table.rig} describes ({rig.name!r})"
+            )
+        recording.run = replace(
+            recording.run,
+            id=str(uuid.uuid4()),
+            window=table.window,
+            limits=table.limits.limits(),
+            source="recording",
+        )
+        return recording
+    raise AssertionError(table.source)  # other kinds do not pass the settings
+
+
+def _simulated(
+    table: RigTable, rig: Rig, *, changes: Sequence[tuple[int, Path]] = (), past: int = 0
+) -> SimulatedRig:
+    """A simulated rig; ``past`` realisations of it lie before the present moment."""
+    settings = table.source
+    assert isinstance(settings, SimulatedSource)
+    assert table.model is not None
+    periods = rig.transient_periods + settings.steady_periods
+    return SimulatedRig(
+        rig,
+        load_model(table.model),
+        steady_periods=settings.steady_periods,
+        rms=settings.rms,
+        seed=settings.seed,
+        snr_db=settings.snr_db,
+        realisations=settings.realisations,
+        start=time.time_ns() - round(past * rig.q * periods * rig.period_ns),
+        pace=settings.pace,
+        changes=[(index, load_model(path)) for index, path in changes],
+        run_id=str(uuid.uuid4()),
+        window=table.window,
+        limits=table.limits.limits(),
+    )
+
+
+def _run(
+    settings: ServiceSettings,
+    sources: Sequence[Source],
+    listener: socket.socket,
+    displays: Sequence[Sequence[Sink]],
+) -> int:
+    """Run workers and API until a signal; the exit code."""
+    try:
+        settings.data.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{settings.data}: cannot be made: {error.strerror}") from None
+    signal.signal(signal.SIGTERM, _interrupt)
+    store = open_store(settings.store_url, source="configuration", key="store.url")
+    limits = settings.recording
+    recorders = [
+        Recorder(settings.data, max_bytes=limits.max_bytes, max_seconds=limits.max_seconds) for _ in sources
+    ]
+    workers = [
+        Worker(source, [StoreSink(store), CataloguedRecorder(recorder, store), *more])
+        for source, recorder, more in zip(sources, recorders, displays, strict=True)
+    ]
+    app = create_app(store, rigs_expected=[source.run.rig.name for source in sources])
+    try:
+        for worker in workers:
+            worker.start()
+        host, port, *_ = listener.getsockname()
+        _log.info("listening on http://%s:%s", host, port)
+        with contextlib.suppress(KeyboardInterrupt):
+            Server(app, listener).listen()
+    finally:
+        deadline = time.monotonic() + _STOP_SECONDS
+        for source in sources:
+            source.close()
+        for worker in workers:
+            worker.stop(max(0.1, deadline - time.monotonic()))
+        store.close()
+    for worker, recorder in zip(workers, recorders, strict=True):
+        if worker.end is not None and recorder.paths:
+            counts = worker.end.counts
+            typer.echo(f"{counts.realisations} realisations, {counts.frames} frames recorded; to see them again:")
+            typer.echo(replay_line(recorder.paths))
+    errors = [worker.error for worker in workers if worker.error is not None]
+    if errors:
+        raise ServiceError(str(errors[0])) from errors[0]
+    return 0
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    """End on SIGTERM as on Ctrl-C, so that recordings are closed."""
+    raise KeyboardInterrupt

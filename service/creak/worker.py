@@ -1,0 +1,270 @@
+"""The loop: source, monitor, sinks. The only place with threads, a clock and a queue.
+
+:func:`drive` runs a source that may be held back in the caller's thread (simulate, import, replay);
+:class:`Worker` runs any source beside the caller (serve, demo), with a bounded queue between the reader of the
+source and the monitor, so that neither can hold the other up without being seen.
+"""
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from creak.errors import CreakError, StorageError
+from creak.monitor import Monitor, Outcome
+from creak.records import Counts, Fault, FaultKind, Frame, RunEnd, RunStatus
+from creak.sinks.protocol import Sink
+from creak.sources.protocol import Source
+
+_log = logging.getLogger(__name__)
+
+_QUEUE_FRAMES = 16
+_TICK_SECONDS = 0.2
+
+
+@dataclass(frozen=True)
+class _Finished:
+    """What the reader leaves in the queue when the source ends; the error if it failed."""
+
+    error: Exception | None
+
+
+class _Path:
+    """Monitor and sinks of one run: everything between a source's items and the closed run."""
+
+    def __init__(self, source: Source, sinks: Sequence[Sink]) -> None:
+        self.monitor = Monitor(source.run)
+        self._sinks: list[Sink] = []
+        self._time = source.run.start  # recorded time up to which data have come
+        self._failing: list[Sink] = []
+        self._failure: StorageError | None = None
+        for sink in sinks:
+            try:
+                sink.open(source.run)
+            except BaseException:
+                self._close_sinks(RunEnd(self._time, RunStatus.FAILED, Counts(), "a sink could not be opened"))
+                raise
+            self._sinks.append(sink)
+
+    def take(self, item: Frame | Fault) -> None:
+        """Pass an item through the monitor and hand what follows to the sinks."""
+        if isinstance(item, Frame):
+            self._time = max(self._time, item.time + round(self.monitor.run.rig.period_ns))
+        self._hand_over(self.monitor.take(item))
+
+    def tick(self, now: float) -> None:
+        """Give every sink its turn for timers."""
+        for sink in self._sinks:
+            try:
+                sink.tick(now)
+            except OSError as error:
+                self._note_failure(sink, error)
+
+    def close(self, status: RunStatus, message: str = "") -> RunEnd:
+        """Close the run in every sink."""
+        self._hand_over(self.monitor.finish())
+        if self._failure is not None and status is RunStatus.COMPLETED:
+            status, message = RunStatus.FAILED, str(self._failure)
+        end = RunEnd(self._time, status, self.monitor.counts, message)
+        self._close_sinks(end)
+        return end
+
+    @property
+    def failure(self) -> StorageError | None:
+        """Why a sink last refused, if one did."""
+        return self._failure
+
+    def _hand_over(self, outcomes: Iterable[Outcome]) -> None:
+        for outcome in outcomes:
+            for sink in self._sinks:
+                try:
+                    sink.take(outcome)
+                except OSError as error:
+                    self._note_failure(sink, error)
+                else:
+                    if sink in self._failing and not isinstance(outcome, Frame):
+                        self._failing.remove(sink)
+
+    def _note_failure(self, sink: Sink, error: OSError) -> None:
+        """A place that cannot take more must not end the monitoring: say so once, everywhere else, and go on."""
+        if sink in self._failing:
+            return
+        self._failing.append(sink)
+        self._failure = error if isinstance(error, StorageError) else StorageError(str(error))
+        _log.error("%s: %s", self.monitor.run.rig.name, error)
+        fault = Fault(FaultKind.STORAGE, self._time, f"{error}; monitoring goes on without it")
+        self._hand_over(self.monitor.take(fault))
+
+    def _close_sinks(self, end: RunEnd) -> None:
+        for sink in self._sinks:
+            try:
+                sink.close(end)
+            except OSError as error:
+                self._failure = error if isinstance(error, StorageError) else StorageError(str(error))
+                _log.error("%s: %s", self.monitor.run.rig.name, error)
+        self._sinks = []
+
+
+def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
+    """Run a source to its end in this thread.
+
+    Parameters
+    ----------
+    source : Source
+        One that may be held back.
+    sinks : sequence of Sink
+
+    Returns
+    -------
+    Monitor
+        As it stands at the end.
+    RunEnd
+        ``interrupted`` after a KeyboardInterrupt, which is not raised again.
+
+    Raises
+    ------
+    CreakError
+        What the source or a sink raised, after the run was closed as failed.
+    """
+    path = _Path(source, sinks)
+    try:
+        for item in source.frames():
+            path.take(item)
+            if path.failure is not None:
+                raise path.failure
+            path.tick(time.monotonic())
+    except KeyboardInterrupt:
+        return path.monitor, path.close(RunStatus.INTERRUPTED, "interrupted by the user")
+    except BaseException as error:
+        path.close(RunStatus.FAILED, str(error) or type(error).__name__)
+        raise
+    finally:
+        source.close()
+    end = path.close(RunStatus.COMPLETED)
+    if path.failure is not None:
+        raise path.failure
+    return path.monitor, end
+
+
+class Worker:
+    """Runs one rig beside the caller until its source ends or it is stopped.
+
+    Parameters
+    ----------
+    source : Source
+    sinks : sequence of Sink
+        Opened by :meth:`start`, then fed and closed by the worker's thread alone.
+    """
+
+    def __init__(self, source: Source, sinks: Sequence[Sink]) -> None:
+        self._source = source
+        self._sinks = sinks
+        self._queue: queue.Queue[Frame | Fault | _Finished] = queue.Queue(_QUEUE_FRAMES)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name=f"rig {source.run.rig.name}")
+        self._reader = threading.Thread(target=self._read, name=f"source {source.run.rig.name}", daemon=True)
+        self._dropped = 0
+        self.end: RunEnd | None = None
+        self.error: Exception | None = None
+
+    def start(self) -> None:
+        """Open the sinks and begin; returns at once.
+
+        Raises
+        ------
+        CreakError
+            If a sink cannot be opened; the run has then not begun.
+        """
+        self._path = _Path(self._source, self._sinks)
+        self._thread.start()
+        self._reader.start()
+
+    @property
+    def running(self) -> bool:
+        """True until the run is closed."""
+        return self._thread.is_alive()
+
+    def stop(self, seconds: float = 3.0) -> None:
+        """End the run as interrupted and wait until its sinks are closed.
+
+        Parameters
+        ----------
+        seconds : float
+            How long to wait at most.
+        """
+        self._stop.set()
+        self._source.close()
+        if self._thread.ident is not None:
+            self._thread.join(seconds)
+
+    def _read(self) -> None:
+        """Carry items from the source to the queue; runs in the reader's thread."""
+        error: Exception | None = None
+        try:
+            for item in self._source.frames():
+                if not self._offer(item):
+                    break
+        except Exception as found:  # noqa: BLE001 - whatever it is, the run has to end with it and say so
+            error = found
+        while not self._stop.is_set():
+            try:
+                self._queue.put(_Finished(error), timeout=_TICK_SECONDS)
+                return
+            except queue.Full:
+                continue
+
+    def _offer(self, item: Frame | Fault) -> bool:
+        """Queue an item; a source that cannot wait loses it when the queue is full, counted and named."""
+        while not self._stop.is_set():
+            try:
+                self._queue.put(item, timeout=0 if self._source.live else _TICK_SECONDS)
+                return True
+            except queue.Full:
+                if self._source.live:
+                    self._dropped += 1
+                    return True
+        return False
+
+    def _loop(self) -> None:
+        path = self._path
+        status, message = RunStatus.INTERRUPTED, "stopped"
+        named = 0
+        try:
+            while not self._stop.is_set():
+                try:
+                    item = self._queue.get(timeout=_TICK_SECONDS)
+                except queue.Empty:
+                    path.tick(time.monotonic())
+                    continue
+                if isinstance(item, _Finished):
+                    status, message = RunStatus.COMPLETED, ""
+                    if item.error is not None:
+                        raise item.error
+                    break
+                path.take(item)
+                if self._dropped > named:
+                    lost, named = self._dropped - named, self._dropped
+                    path.take(self._dropped_fault(lost, item))
+                path.tick(time.monotonic())
+        except Exception as error:  # noqa: BLE001 - a loop must not die silently: the run ends as failed
+            status, message = RunStatus.FAILED, str(error) or type(error).__name__
+            self.error = error
+            _log.error("%s: %s", self._source.run.rig.name, message, exc_info=not isinstance(error, CreakError))
+        finally:
+            self._stop.set()
+            self._source.close()
+            try:
+                self.end = path.close(status, message)
+            except Exception as error:  # noqa: BLE001
+                self.error = self.error or error
+                _log.error("%s: %s", self._source.run.rig.name, error)
+
+    @staticmethod
+    def _dropped_fault(lost: int, after: Frame | Fault) -> Fault:
+        return Fault(
+            FaultKind.LOST,
+            after.time,
+            f"{lost} frames were dropped: the monitor could not keep up with the source",
+        )
