@@ -48,3 +48,14 @@ def test_example_files_are_accepted(tmp_path):
     rig, service = blocks("toml")
     assert parse_rig(rig, "README.md").name == "three-mass"
     assert parse_service(parse_toml(service, "README.md"), "README.md", tmp_path).rigs[0].window == 4
+
+
+def test_ci_takes_the_test_command_and_nothing_else(tmp_path):
+    """Kills a runner that also runs the examples, or that runs nothing and is green."""
+    (tmp_path / ".ci").mkdir()
+    (tmp_path / "README.md").write_text(README)
+    script = tmp_path / ".ci" / "run"
+    script.write_text((ROOT / ".ci" / "run").read_text().replace("exec bash", "exit 0; exec bash"))
+    done = subprocess.run(["bash", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split("\n", 1)[1] == blocks("sh")[1]
