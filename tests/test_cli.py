@@ -142,6 +142,23 @@ def test_what_is_wrong_gets_one_line_and_exit_code_2(small, capsys, arguments, w
     assert {path.name for path in small.iterdir()} == {"rig.toml", "model.toml"}
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('input = "N"', 'input = "A"', ["nodes[0].input", "'A'", "N"]),  # what force is an ampere?
+        ('output = "m"', 'output = "mm"', ["nodes[0].output", "'mm'", "m/s"]),
+        ('name = "2"', 'name = "7"', ["nodes[1].name", "'7'", "'1', '2'"]),
+    ],
+)
+def test_a_rig_that_does_not_fit_the_model_is_refused(small, capsys, old, new, words):
+    (small / "rig.toml").write_text(SMALL_RIG.replace(old, new, 1))
+    assert run(SIMULATE) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    for word in words:
+        assert word in line
+
+
 def test_a_failed_run_leaves_no_recording(small, capsys):
     """Kills a half-written file: a motion that grows without bound is found in the middle of the run."""
     unstable = SMALL_MODEL + '[[effects]]\neffect = "damping"\nat = ["2", "ground"]\ncoefficient = -500.0\n'

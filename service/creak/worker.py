@@ -37,21 +37,21 @@ class _Path:
     def __init__(self, source: Source, sinks: Sequence[Sink]) -> None:
         self.monitor = Monitor(source.run)
         self._sinks: list[Sink] = []
-        self._time = source.run.start  # recorded time up to which data have come
+        self.time = source.run.start  # recorded time up to which data have come
         self._failing: list[Sink] = []
         self._failure: StorageError | None = None
         for sink in sinks:
             try:
                 sink.open(source.run)
             except BaseException:
-                self._close_sinks(RunEnd(self._time, RunStatus.FAILED, Counts(), "a sink could not be opened"))
+                self._close_sinks(RunEnd(self.time, RunStatus.FAILED, Counts(), "a sink could not be opened"))
                 raise
             self._sinks.append(sink)
 
     def take(self, item: Frame | Fault) -> None:
         """Pass an item through the monitor and hand what follows to the sinks."""
         if isinstance(item, Frame):
-            self._time = max(self._time, item.time + round(self.monitor.run.rig.period_ns))
+            self.time = max(self.time, item.time + round(self.monitor.run.rig.period_ns))
         self._hand_over(self.monitor.take(item))
 
     def tick(self, now: float) -> None:
@@ -67,7 +67,7 @@ class _Path:
         self._hand_over(self.monitor.finish())
         if self._failure is not None and status is RunStatus.COMPLETED:
             status, message = RunStatus.FAILED, str(self._failure)
-        end = RunEnd(self._time, status, self.monitor.counts, message)
+        end = RunEnd(self.time, status, self.monitor.counts, message)
         self._close_sinks(end)
         return end
 
@@ -94,7 +94,7 @@ class _Path:
         self._failing.append(sink)
         self._failure = error if isinstance(error, StorageError) else StorageError(str(error))
         _log.error("%s: %s", self.monitor.run.rig.name, error)
-        fault = Fault(FaultKind.STORAGE, self._time, f"{error}; monitoring goes on without it")
+        fault = Fault(FaultKind.STORAGE, self.time, f"{error}; monitoring goes on without it")
         self._hand_over(self.monitor.take(fault))
 
     def _close_sinks(self, end: RunEnd) -> None:
@@ -165,7 +165,8 @@ class Worker:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name=f"rig {source.run.rig.name}")
         self._reader = threading.Thread(target=self._read, name=f"source {source.run.rig.name}", daemon=True)
-        self._dropped = 0
+        self._dropped = 0  # counted by the reader, named by the loop
+        self._named = 0
         self.end: RunEnd | None = None
         self.error: Exception | None = None
 
@@ -230,7 +231,6 @@ class Worker:
     def _loop(self) -> None:
         path = self._path
         status, message = RunStatus.INTERRUPTED, "stopped"
-        named = 0
         try:
             while not self._stop.is_set():
                 try:
@@ -238,15 +238,13 @@ class Worker:
                 except queue.Empty:
                     path.tick(time.monotonic())
                     continue
+                self._name_dropped(path)
                 if isinstance(item, _Finished):
                     status, message = RunStatus.COMPLETED, ""
                     if item.error is not None:
                         raise item.error
                     break
                 path.take(item)
-                if self._dropped > named:
-                    lost, named = self._dropped - named, self._dropped
-                    path.take(self._dropped_fault(lost, item))
                 path.tick(time.monotonic())
         except Exception as error:  # noqa: BLE001 - a loop must not die silently: the run ends as failed
             status, message = RunStatus.FAILED, str(error) or type(error).__name__
@@ -261,10 +259,10 @@ class Worker:
                 self.error = self.error or error
                 _log.error("%s: %s", self._source.run.rig.name, error)
 
-    @staticmethod
-    def _dropped_fault(lost: int, after: Frame | Fault) -> Fault:
-        return Fault(
-            FaultKind.LOST,
-            after.time,
-            f"{lost} frames were dropped: the monitor could not keep up with the source",
-        )
+    def _name_dropped(self, path: _Path) -> None:
+        """Put down as lost what the reader has had to drop since the last time."""
+        lost = self._dropped - self._named
+        if lost:
+            self._named += lost
+            message = f"{lost} frames were dropped: the monitor could not keep up with the source"
+            path.take(Fault(FaultKind.LOST, path.time, message))

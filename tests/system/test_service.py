@@ -109,6 +109,16 @@ pace = {pace}
 """
 
 
+AGAIN = """
+data = "again"
+[[rigs]]
+rig = "rig.toml"
+[rigs.source]
+kind = "recording"
+files = ["{file}"]
+"""
+
+
 @pytest.fixture
 def place(tmp_path):
     (tmp_path / "rig.toml").write_text(RIG)
@@ -265,3 +275,22 @@ def test_a_recording_is_a_source_and_gives_the_same_alarm_list(started, serve, c
         assert node["total_to_noise_db"] == level["total_to_noise_db"]
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=DEADLINE)
+
+
+def test_a_recording_of_another_rig_is_refused(started, serve, place):
+    process, client = serve(pace=20.0)
+    wait_for("a frame", lambda: client.get("/api/v1/rigs/small").json()["transient_frames"] > 0, process)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=DEADLINE)
+    recorded = shlex.split(out.strip().splitlines()[-1])[-1]
+    (place / "rig.toml").write_text(RIG.replace("1024.0", "2048.0"))
+    text = (
+        f'data = "again"\n[[rigs]]\nrig = "rig.toml"\n[rigs.source]\nkind = "recording"\nfiles = ["{recorded}"]\n'
+    )
+    (place / "again.toml").write_text(text)
+    process = started("serve", "again.toml", cwd=place)
+    out, err = process.communicate(timeout=DEADLINE)
+    assert process.returncode == 2
+    assert "another rig" in err
+    assert err.count("\n") == 1
+    assert not (place / "again").exists()

@@ -95,6 +95,8 @@ def assemble(model: Model, rig: Rig) -> System:
     # Up to the Nyquist frequency, so that harmonics of a nonlinear force find their modes.
     body = model.body(rig.sample_rate / 2) if isinstance(model, Beam) else model.body()
     _check_nodes(body, rig)
+    if isinstance(model, Lumped):
+        _check_forces(rig)
     body = _with_linear_effects(body, model)
     elements = tuple(effect for effect in model.effects if isinstance(effect, Restoring))
     incidence = [body.points[effect.at[0]] - body.points[effect.at[1]] for effect in elements]
@@ -142,6 +144,17 @@ def _check_nodes(body: Body, rig: Rig) -> None:
                 f"rig {rig.name}",
                 f"{where}.output",
                 f"{node.output!r} cannot be simulated; allowed are {', '.join(DERIVATIVES)}",
+            )
+
+
+def _check_forces(rig: Rig) -> None:
+    """A lumped model has no actuators of its own, so nothing says what force an ampere makes."""
+    for i, node in enumerate(rig.nodes):
+        if node.input not in (None, "N"):
+            raise ConfigurationError(
+                f"rig {rig.name}",
+                f"nodes[{i}].input",
+                f"{node.input!r} is no force; a lumped model takes inputs in N",
             )
 
 
