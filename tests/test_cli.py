@@ -217,3 +217,18 @@ def test_the_two_mass_bench_has_one_input_and_is_not_located(tmp_path, capsys):
     assert ratios(document, "noise_db") == [None, None]
     assert ratios(document, "classical_noise_db") == pytest.approx([-35.1, -35.2], abs=0.1)
     assert document["frames"] == 19
+
+
+def test_benchmarks_are_listed_and_run(capsys):
+    """Kills a benchmark that nobody runs any more."""
+    assert run(["bench"]) == 0
+    assert "estimator" in capsys.readouterr().out
+    assert run(["bench", "estimatr"]) == 2
+    assert "estimator" in capsys.readouterr().err
+    done = subprocess.run(
+        [sys.executable, "-m", "creak.cli", "bench", "estimator", "--json", "--repetitions", "1"],
+        capture_output=True,
+        check=True,
+        text=True,
+    )
+    assert {row["nodes"] for row in json.loads(done.stdout)["rows"]} == {3, 16}
