@@ -1,5 +1,7 @@
 """Configuration: the contract's files, and one clear line for everything else."""
 
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -193,3 +195,9 @@ def test_a_wrong_service_file_gets_one_line(service_file, old, new, words):
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ConfigurationError, match=r"nowhere\.toml: cannot be read"):
         load_rig(tmp_path / "nowhere.toml")
+
+
+def test_the_service_file_of_the_container_is_accepted(service_file):
+    """Kills an image that is built but does not start."""
+    settings = load_service(Path(__file__).parents[1] / "deploy" / "container" / "creak.toml")
+    assert settings.data == Path("/var/lib/creak")
