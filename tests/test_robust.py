@@ -66,9 +66,11 @@ def test_a_linear_system_has_as_much_total_as_noise_variance(rng):
 def test_what_one_realisation_or_period_does_not_carry_is_nan():
     U = np.ones((1, 3))
     alone = robust_bla(U, np.ones((1, 2, 3)))
-    assert np.isnan(alone.total).all() and not np.isnan(alone.noise).any()
+    assert np.isnan(alone.total).all()
+    assert not np.isnan(alone.noise).any()
     once = robust_bla(np.ones((2, 3)), np.ones((2, 1, 3)))
-    assert np.isnan(once.noise).all() and not np.isnan(once.total).any()
+    assert np.isnan(once.noise).all()
+    assert not np.isnan(once.total).any()
 
 
 @pytest.mark.parametrize(

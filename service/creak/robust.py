@@ -78,8 +78,8 @@ def robust_bla(U: Complex, Y: Complex) -> RobustBla:
 
     Notes
     -----
-    (21) is the mean over ``m`` of (19), the noise variance of one ``G[m]``, divided by ``M`` once more, as ``G`` is
-    the mean of ``M`` of them: ``1/(M^2 P (P-1))`` before the sums. So (20) and (21) agree on a linear system.
+    (21) is the mean over ``m`` of (19), the noise variance of one ``G[m]``, divided by ``M`` once more, as ``G``
+    is the mean of ``M`` of them: ``1/(M^2 P (P-1))`` before the sums. So (20) and (21) agree on a linear system.
 
     Examples
     --------

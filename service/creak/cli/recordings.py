@@ -187,7 +187,7 @@ def _too_few_windows(run: Run, newest: _Newest) -> Iterator[str]:
 def _record(source: Source, output: Path, frames: int, label: str) -> None:
     """Drive a source into a recording that appears under its name only when it is whole."""
     newest = _Newest()
-    with _whole_file(output) as unfinished:
+    with whole_file(output) as unfinished:
         recorder = Recorder(unfinished)
         monitor, end = drive(source, [recorder, newest, ProgressBar(label, frames)])
         if end.status is RunStatus.INTERRUPTED:
@@ -204,7 +204,7 @@ def _record(source: Source, output: Path, frames: int, label: str) -> None:
 
 
 @contextmanager
-def _whole_file(output: Path) -> Iterator[Path]:
+def whole_file(output: Path) -> Iterator[Path]:
     """A name beside the output to write to; takes its place if all goes well, and is gone if not."""
     if output.is_dir() or not output.parent.is_dir():
         problem = "is a directory" if output.is_dir() else f"there is no directory {output.parent}"
