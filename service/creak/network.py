@@ -10,8 +10,12 @@ Every residual of the method is a linear form ``e = g V`` of ``V = [U; R]``, so 
 import numpy as np
 import scipy.special
 
-from creak.records import Complex, Estimate, NodeLevel, Real, Rig, Scope, Spectra
+from creak.location import locate
+from creak.records import Complex, ElementShare, Estimate, NodeLevel, Real, Rig, Scope, Spectra
 from creak.statistics import Sums
+
+SIGNIFICANT = 1e-3
+"""Chance, over all nodes together, that elements are looked for where the structure is linear."""
 
 
 def node_to_node(sums: Sums, rig: Rig) -> tuple[Complex, Complex]:
@@ -154,12 +158,14 @@ def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) ->
     classical = np.concatenate((np.zeros((F, n, q), dtype=np.complex128), -eye), axis=2)
     classical_total, classical_noise = _variances(classical, sums)
     p_value = np.full(n, np.nan)
+    elements: tuple[ElementShare, ...] = ()
     if forms is None:
         total = noise = np.full((F, n), np.nan)
     else:
         total, noise = _variances(forms, sums)
         if sums.periods > 1 and sums.realisations > 1:
             p_value = pooled_p_value(line_p_values(forms, sums, fitted_parameters(rig)))
+            elements = _elements(rig, sums, p_value)
     spectra = Spectra(
         frequency=rig.frequencies,
         signal=signal,
@@ -180,8 +186,19 @@ def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) ->
         nodes=tuple(_level(rig.nodes[i].name, i, spectra, p_value[i]) for i in range(n)),
         spectra=spectra,
         located=forms is not None,
+        elements=elements,
         unavailable=tuple(unavailable),
     )
+
+
+def _elements(rig: Rig, sums: Sums, p_value: Real) -> tuple[ElementShare, ...]:
+    """Elements that distort; none where no node is significant."""
+    if not p_value.min() * rig.n < SIGNIFICANT:
+        return ()
+    try:
+        return locate(rig, sums)
+    except np.linalg.LinAlgError:  # more nodes than the noise covariance has degrees of freedom, or a dead one
+        return ()
 
 
 def _neighbours(rig: Rig) -> list[list[int]]:
