@@ -26,6 +26,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from creak.findings import DetectionLevel
+
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -250,6 +252,12 @@ class FaultKind(StrEnum):
     SINGULAR = "singular"  # a realisation whose input matrix cannot be inverted
     DAMAGED = "damaged"  # a part of a recording that cannot be read
     STORAGE = "storage"  # the disk is full
+    TRANSIENT = "transient"  # what was discarded has not died out in what is kept
+    DRIFT = "drift"  # the period is not that of the rig
+    CLIPPED = "clipped"
+    STUCK = "stuck"  # a channel that does not move
+    WRONG_INPUT = "wrong-input"  # other than the excitation says
+    NOT_ORTHOGONAL = "not-orthogonal"  # experiments that resemble each other
 
 
 @dataclass(frozen=True)
@@ -375,6 +383,10 @@ class Estimate:
     realisation: int
     realisations: int
     experiments: int
+    detection : tuple of DetectionLevel
+        Distortion at the lines left out, a node each; empty where the grid leaves none.
+    remarks : tuple of str
+        What else the data say about their own use, a sentence each.
     periods: int
     nodes: tuple[NodeLevel, ...]
     spectra: Spectra
@@ -388,6 +400,8 @@ class AlarmState(StrEnum):
 
     NORMAL = "normal"
     UNACKNOWLEDGED = "unacknowledged"
+    detection: tuple[DetectionLevel, ...] = ()
+    remarks: tuple[str, ...] = ()
     ACKNOWLEDGED = "acknowledged"
     RETURNED_UNACKNOWLEDGED = "returned_unacknowledged"
     SHELVED = "shelved"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from creak.errors import InputError
+from creak.findings import DetectionLevel
 from creak.records import (
     AlarmChange,
     AlarmState,
@@ -109,6 +110,17 @@ def element_json(element: ElementShare) -> dict[str, Any]:
 
 def alarm_json(change: AlarmChange) -> dict[str, Any]:
     """Show an alarm occurrence as its newest change leaves it."""
+def detection_json(level: DetectionLevel) -> dict[str, Any]:
+    """Show what the lines left out say about a node."""
+    return {
+        "name": level.name,
+        "excited_db": _number(level.excited_db),
+        "odd_db": _number(level.odd_db),
+        "even_db": _number(level.even_db),
+        "noise_db": _number(level.noise_db),
+    }
+
+
     return {
         "id": change.id,
         "rig": change.rig,
@@ -179,6 +191,8 @@ def summary_json(
         "unavailable": list(dict.fromkeys(said)),
     }
 
+        "detection": [detection_json(level) for level in (estimate.detection if estimate is not None else ())],
+        "remarks": list(estimate.remarks) if estimate is not None else [],
 
 def spectrum_json(estimate: Estimate, node: str) -> dict[str, Any]:
     """Show the levels of one node per excited line, dB re 1 unit squared.

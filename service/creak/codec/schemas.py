@@ -102,6 +102,13 @@ LAYOUT: Final[dict[str, dict[str, str]]] = {
     "Estimate": {
         "scope": "string",
         "time": "int64",
+    "DetectionLevel": {
+        "name": "string",
+        "excited_db": _LEVEL,
+        "odd_db": _LEVEL,
+        "even_db": _LEVEL,
+        "noise_db": _LEVEL,
+    },
         "realisation": "int64",
         "realisations": "int64",
         "experiments": "int64",
@@ -114,6 +121,8 @@ LAYOUT: Final[dict[str, dict[str, str]]] = {
     },
     "AlarmChange": {
         "id": "string",
+        "detection": "DetectionLevel*",
+        "remarks": "string*",
         "rig": "string",
         "node": "string",
         "class": "string",
