@@ -1,4 +1,4 @@
-"""Do the data fit the model of the structure: given edges of a network, and one response matrix for all amplitudes.
+"""Do the data fit the model: the given edges of a network, and one response matrix for all amplitudes.
 
 Both questions are answered from :class:`creak.statistics.Sums` alone.
 """
@@ -140,7 +140,7 @@ def reference(sums: Sums, names: tuple[str, ...]) -> Reference:
         return Reference(sums)
     sentence = (
         "amplitudes differ between realisations, so levels are taken about the least-squares approximation; "
-        f"about the mean of (28) the classical residual of node {names[worst]} stands {excess[worst]:.2f} dB higher"
+        f"about the mean of (28) the classical residual of node {names[worst]} is {excess[worst]:.2f} dB higher"
     )
     return Reference(better, (sentence,))
 

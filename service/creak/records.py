@@ -327,6 +327,10 @@ class Spectra:
         ``|Y|^2`` and the variances (40), (39), (41) of the networked residuals.
     classical_noise, classical_total, classical_nonlinear : array, (F, n)
         The same of the residuals from the inputs.
+    p_value, q_value, classical_p_value : array, (F, n), or None
+        Probability of so large a residual if the structure is linear, networked; the smallest rate of false
+        discoveries over all lines and nodes at which it is still significant; and the probability of the
+        residual from the inputs. None in recordings of before these were kept.
     """
 
     frequency: Real
@@ -337,6 +341,9 @@ class Spectra:
     classical_noise: Real
     classical_total: Real
     classical_nonlinear: Real
+    p_value: Real | None = None
+    q_value: Real | None = None
+    classical_p_value: Real | None = None
 
 
 @dataclass(frozen=True)
@@ -376,6 +383,10 @@ class Estimate:
     elements : tuple of ElementShare
     unavailable : tuple of str
         What the data do not carry, and why, a sentence each.
+    detection : tuple of DetectionLevel
+        Distortion at the lines left out, a node each; empty where the grid leaves none.
+    remarks : tuple of str
+        What else the data say about their own use, a sentence each.
     """
 
     scope: Scope
@@ -383,16 +394,14 @@ class Estimate:
     realisation: int
     realisations: int
     experiments: int
-    detection : tuple of DetectionLevel
-        Distortion at the lines left out, a node each; empty where the grid leaves none.
-    remarks : tuple of str
-        What else the data say about their own use, a sentence each.
     periods: int
     nodes: tuple[NodeLevel, ...]
     spectra: Spectra
     located: bool
     elements: tuple[ElementShare, ...] = ()
     unavailable: tuple[str, ...] = ()
+    detection: tuple[DetectionLevel, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 class AlarmState(StrEnum):
@@ -400,8 +409,6 @@ class AlarmState(StrEnum):
 
     NORMAL = "normal"
     UNACKNOWLEDGED = "unacknowledged"
-    detection: tuple[DetectionLevel, ...] = ()
-    remarks: tuple[str, ...] = ()
     ACKNOWLEDGED = "acknowledged"
     RETURNED_UNACKNOWLEDGED = "returned_unacknowledged"
     SHELVED = "shelved"

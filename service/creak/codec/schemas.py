@@ -97,11 +97,11 @@ LAYOUT: Final[dict[str, dict[str, str]]] = {
         "classical_noise": "Array",
         "classical_total": "Array",
         "classical_nonlinear": "Array",
+        "p_value": "Array?",
+        "q_value": "Array?",
+        "classical_p_value": "Array?",
     },
     "ElementShare": {"between": "string*", "share": "double", "confidence": "double", "separable": "bool"},
-    "Estimate": {
-        "scope": "string",
-        "time": "int64",
     "DetectionLevel": {
         "name": "string",
         "excited_db": _LEVEL,
@@ -109,6 +109,9 @@ LAYOUT: Final[dict[str, dict[str, str]]] = {
         "even_db": _LEVEL,
         "noise_db": _LEVEL,
     },
+    "Estimate": {
+        "scope": "string",
+        "time": "int64",
         "realisation": "int64",
         "realisations": "int64",
         "experiments": "int64",
@@ -118,11 +121,11 @@ LAYOUT: Final[dict[str, dict[str, str]]] = {
         "located": "bool",
         "elements": "ElementShare*",
         "unavailable": "string*",
+        "detection": "DetectionLevel*",
+        "remarks": "string*",
     },
     "AlarmChange": {
         "id": "string",
-        "detection": "DetectionLevel*",
-        "remarks": "string*",
         "rig": "string",
         "node": "string",
         "class": "string",
