@@ -269,6 +269,7 @@ def test_spectrum_is_null_where_power_is_not_positive() -> None:
     )  # fmt: skip
     shown = codec.spectrum_json(estimate, "2")
     assert shown.pop("frequency_hz") == [0.0, 1.0, 2.0, 3.0]
+    shown = {key: levels for key, levels in shown.items() if key.endswith("_db")}
     assert len(shown) == 7
     assert all(column == [20.0, None, None, None] for column in shown.values())
     with pytest.raises(InputError, match="'3' is not a node; there are 1, 2"):

@@ -7,8 +7,9 @@ import pytest
 import scipy.stats
 
 from conftest import make_rig, random_spectra
-from creak.network import estimate, fitted_parameters, node_to_node, pooled_p_value
+from creak.network import estimate, fitted_parameters, node_to_node
 from creak.records import Scope
+from creak.significance import pooled_p_value
 from creak.statistics import Sums
 
 

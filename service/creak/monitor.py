@@ -9,10 +9,9 @@ from functools import reduce
 from operator import add
 
 from creak import alarms
-from creak.network import estimate
+from creak.judgement import Block, judged
 from creak.realisations import Collector, Realisation
 from creak.records import AlarmChange, AlarmState, Counts, Estimate, Fault, Frame, FrameStatus, Run, Scope
-from creak.statistics import Sums
 
 Outcome = Frame | Fault | Estimate | AlarmChange
 
@@ -29,10 +28,9 @@ class Monitor:
     def __init__(self, run: Run) -> None:
         self.run = run
         self._collector = Collector(run)
-        self._blocks: deque[Sums] = deque(maxlen=run.window)
-        rig = run.rig
-        self._whole = Sums.zero(run.steady_periods, len(rig.lines), rig.n, rig.q)
-        self._alarms = {node.name: alarms.NodeAlarm() for node in rig.nodes}
+        self._blocks: deque[Block] = deque(maxlen=run.window)
+        self._whole: Block | None = None
+        self._alarms = {node.name: alarms.NodeAlarm() for node in run.rig.nodes}
         self._faults: Counter[str] = Counter()
         self._transient = 0
         self._steady = 0  # good and bad alike
@@ -40,14 +38,14 @@ class Monitor:
     @property
     def counts(self) -> Counts:
         """What was handled so far; good frames of the open realisation are in neither sum yet."""
-        complete = self._whole.realisations
-        frames = self._whole.experiments * self.run.steady_periods
+        complete = 0 if self._whole is None else self._whole.sums.realisations
+        frames = complete * self.run.rig.q * self.run.steady_periods
         return Counts(
             frames=frames,
             rejected_frames=self._steady - frames - self._collector.open_frames,
             transient_frames=self._transient,
             realisations=complete,
-            experiments=self._whole.experiments,
+            experiments=complete * self.run.rig.q,
             faults=dict(sorted(self._faults.items())),
         )
 
@@ -88,11 +86,11 @@ class Monitor:
 
     def _complete(self, realisation: Realisation) -> list[Outcome]:
         rig = self.run.rig
-        block = Sums.of(realisation.spectra, rig.q)
+        block = Block.of(realisation, rig.q)
         self._blocks.append(block)
-        self._whole = self._whole + block
-        window = estimate(rig, reduce(add, self._blocks), Scope.WINDOW, realisation.end, realisation.index)
-        whole = estimate(rig, self._whole, Scope.RUN, realisation.end, realisation.index)
+        self._whole = block if self._whole is None else self._whole + block
+        window = judged(rig, reduce(add, self._blocks), Scope.WINDOW, realisation)
+        whole = judged(rig, self._whole, Scope.RUN, realisation)
         outcomes: list[Outcome] = [window, whole]
         for level in window.nodes:
             self._alarms[level.name], changes = alarms.step(

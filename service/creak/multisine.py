@@ -1,9 +1,13 @@
 """Random-phase multisines: excited lines, grids and orthogonal experiments (method of the paper, (6) and (25))."""
 
 import math
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from creak.crest import Phases, reduce_crest
+from creak.errors import InputError
 from creak.records import Grid, Real, Rig
 
 EXCITATION = 0
@@ -49,12 +53,37 @@ def grid_lines(grid: Grid, band: tuple[float, float], sample_rate: float, period
     return tuple(np.delete(lines, left_out).tolist())
 
 
-def realisation(rig: Rig, rms: float, seed: int, index: int) -> Real:
+@dataclass(frozen=True, eq=False)
+class Design:
+    """How the multisines of a realisation are made.
+
+    Parameters
+    ----------
+    orthogonal : {"rotation", "random"}
+        What makes the experiments orthogonal. ``rotation``: the inputs keep their phases and are rotated against
+        each other (25). ``random``: each experiment has random phases of its own besides (full random orthogonal;
+        Dobrowiecki, Schoukens and Guillaume 2006), so that the distortions of a realisation's experiments are
+        independent.
+    amplitudes : array, (F,) or (q, F), or None
+        Amplitude spectrum, any scale; None for a flat one.
+    crest_iterations : int
+        Steps of :func:`creak.crest.reduce_crest`; 0 leaves the phases random.
+    """
+
+    orthogonal: Literal["rotation", "random"] = "rotation"
+    amplitudes: Real | None = None
+    crest_iterations: int = 0
+
+
+PAPER = Design()
+"""Flat amplitudes, random phases, rotation: the paper's."""
+
+
+def realisation(rig: Rig, rms: float, seed: int, index: int, design: Design = PAPER) -> Real:
     """One period of every input in the ``q`` orthogonal experiments of one realisation.
 
-    Flat amplitudes, phases uniform on [0, 2 pi), zero mean. Within the realisation the inputs keep their
-    phases and are rotated against each other, ``u[c, i] = exp(-2j pi i c / q) u[0, i]``, which makes the
-    input matrix of every line orthogonal (25).
+    Phases uniform on [0, 2 pi), zero mean. Within the realisation ``u[c, i] = exp(-2j pi i c / q) u[0, i]``, which
+    makes the input matrix of every line orthogonal (25); a design may ask for more.
 
     Parameters
     ----------
@@ -63,19 +92,31 @@ def realisation(rig: Rig, rms: float, seed: int, index: int) -> Real:
         RMS value of every input, in its unit.
     seed, index : int
         Seed of the run and index of the realisation: the same two give the same signals, whatever came before.
+    design : Design
 
     Returns
     -------
     array, (q, q, N)
         Experiment, input, sample.
+
+    Raises
+    ------
+    InputError
+        If an amplitude of the design is not above 0.
     """
-    q, size = rig.q, rig.period_samples
+    q, size, F = rig.q, rig.period_samples, len(rig.lines)
     rng = np.random.default_rng(np.random.SeedSequence((seed, index, EXCITATION)))
-    phases = rng.uniform(0.0, 2.0 * np.pi, (q, len(rig.lines)))
-    inputs = np.arange(q)
-    rotation = np.exp(-2j * np.pi * np.outer(np.arange(q), inputs) / q)
+    inputs = rng.uniform(0.0, 2.0 * np.pi, (q, F))
+    own = rng.uniform(0.0, 2.0 * np.pi, (q, F)) if design.orthogonal == "random" else np.zeros((q, F))
+    phases = Phases(inputs, own)
+    turn = np.exp(-2j * np.pi * np.outer(np.arange(q), np.arange(q)) / q)
     # A cosine of amplitude a has the power a^2/2 and the lines of a real DFT scaled by 1/N the modulus a/2.
-    modulus = rms / math.sqrt(2 * len(rig.lines))
+    shape = np.ones((q, F)) if design.amplitudes is None else np.broadcast_to(design.amplitudes, (q, F))
+    if not ((shape > 0) & (shape < np.inf)).all():
+        raise InputError("an excited line has an amplitude that is not a number above 0")
+    modulus = rms * shape / np.sqrt(2 * (shape**2).sum(axis=1, keepdims=True))
+    if design.crest_iterations:
+        phases = reduce_crest(phases, modulus, turn, rig.lines, design.crest_iterations)
     spectrum = np.zeros((q, q, size // 2 + 1), dtype=np.complex128)
-    spectrum[:, :, list(rig.lines)] = modulus * rotation[:, :, None] * np.exp(1j * phases)
+    spectrum[:, :, list(rig.lines)] = phases.spectrum(modulus, turn)
     return np.fft.irfft(spectrum * size, n=size, axis=-1)

@@ -8,10 +8,14 @@ Every residual of the method is a linear form ``e = g V`` of ``V = [U; R]``, so 
 """
 
 import numpy as np
-import scipy.special
 
-from creak.records import Complex, Estimate, NodeLevel, Real, Rig, Scope, Spectra
+from creak.location import locate
+from creak.records import Complex, ElementShare, Estimate, NodeLevel, Real, Rig, Scope, Spectra
+from creak.significance import line_p_values, pooled_p_value, q_values
 from creak.statistics import Sums
+
+SIGNIFICANT = 1e-3
+"""Chance, over all nodes together, that elements are looked for where the structure is linear."""
 
 
 def node_to_node(sums: Sums, rig: Rig) -> tuple[Complex, Complex]:
@@ -67,51 +71,6 @@ def fitted_parameters(rig: Rig) -> Real:
     return np.array([1.0 + len(near) for near in _neighbours(rig)])
 
 
-def line_p_values(forms: Complex, sums: Sums, fitted: Real) -> Real:
-    """Probability per line and node of so large a residual if the structure is linear.
-
-    With ``r = P sum_e |mean_p e|^2 / (E - d)`` and ``w = sum_e sum_p |e - mean_p e|^2 / (E(P - 1))`` the ratio
-    ``r/w`` follows ``F(2(E - d), 2E(P - 1))`` for white sensor noise.
-
-    Parameters
-    ----------
-    forms : array, (F, n, q + n)
-        Rows g of the residuals.
-    sums : Sums
-        At least two periods and more experiments than fitted parameters.
-    fitted : array, (n,)
-        d, parameters fitted at each node.
-
-    Returns
-    -------
-    array, (F, n)
-    """
-    E, P = sums.experiments, sums.periods
-    free, noise_free = E - fitted, E * (P - 1.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = (_power(forms, sums.between) / free) / (_power(forms, sums.within) / noise_free)
-    return np.asarray(scipy.special.fdtrc(2 * free, 2 * noise_free, ratio), dtype=np.float64)
-
-
-def pooled_p_value(p: Real) -> Real:
-    """Combine the p-values of independent lines into one per node by Fisher's method.
-
-    ``-2 sum_k ln p_k`` follows a chi-square law of 2F degrees of freedom if all lines are linear (R. A. Fisher,
-    *Statistical Methods for Research Workers*, 4th ed., section 21.1).
-
-    Parameters
-    ----------
-    p : array, (F, n)
-
-    Returns
-    -------
-    array, (n,)
-        Uniform on [0, 1] if the structure is linear.
-    """
-    statistic = -2.0 * np.log(np.maximum(p, np.finfo(np.float64).tiny)).sum(axis=0)
-    return np.asarray(scipy.special.chdtrc(2.0 * len(p), statistic), dtype=np.float64)
-
-
 def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) -> Estimate:
     """Levels and spectra of all nodes from the sums of at least one realisation.
 
@@ -154,12 +113,19 @@ def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) ->
     classical = np.concatenate((np.zeros((F, n, q), dtype=np.complex128), -eye), axis=2)
     classical_total, classical_noise = _variances(classical, sums)
     p_value = np.full(n, np.nan)
+    line_p = classical_p = np.full((F, n), np.nan)
+    testable = sums.periods > 1 and sums.realisations > 1
+    if testable:
+        classical_p = _p_values(classical, sums, np.full(n, float(q)))
+    elements: tuple[ElementShare, ...] = ()
     if forms is None:
         total = noise = np.full((F, n), np.nan)
     else:
         total, noise = _variances(forms, sums)
-        if sums.periods > 1 and sums.realisations > 1:
-            p_value = pooled_p_value(line_p_values(forms, sums, fitted_parameters(rig)))
+        if testable:
+            line_p = _p_values(forms, sums, fitted_parameters(rig))
+            p_value = pooled_p_value(line_p)
+            elements = _elements(rig, sums, p_value)
     spectra = Spectra(
         frequency=rig.frequencies,
         signal=signal,
@@ -169,6 +135,9 @@ def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) ->
         classical_noise=classical_noise,
         classical_total=classical_total,
         classical_nonlinear=np.maximum(classical_total - classical_noise, 0.0),
+        p_value=line_p,
+        q_value=q_values(line_p),
+        classical_p_value=classical_p,
     )
     return Estimate(
         scope=scope,
@@ -180,8 +149,19 @@ def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) ->
         nodes=tuple(_level(rig.nodes[i].name, i, spectra, p_value[i]) for i in range(n)),
         spectra=spectra,
         located=forms is not None,
+        elements=elements,
         unavailable=tuple(unavailable),
     )
+
+
+def _elements(rig: Rig, sums: Sums, p_value: Real) -> tuple[ElementShare, ...]:
+    """Elements that distort; none where no node is significant."""
+    if not p_value.min() * rig.n < SIGNIFICANT:
+        return ()
+    try:
+        return locate(rig, sums)
+    except np.linalg.LinAlgError:  # more nodes than the noise covariance has degrees of freedom, or a dead one
+        return ()
 
 
 def _neighbours(rig: Rig) -> list[list[int]]:
@@ -211,6 +191,12 @@ def _networked_forms(rig: Rig, sums: Sums) -> Complex:
 def _power(forms: Complex, moments: Complex) -> Real:
     """Quadratic forms ``g A g^H`` per line and row, ``(F, n)``."""
     return np.asarray(np.einsum("fij,fij->fi", forms @ moments, forms.conj()).real, dtype=np.float64)
+
+
+def _p_values(forms: Complex, sums: Sums, fitted: Real) -> Real:
+    """p-values of the residuals per line and node, ``(F, n)``."""
+    between, within = _power(forms, sums.between), _power(forms, sums.within)
+    return line_p_values(between, within, sums.experiments, sums.periods, fitted)
 
 
 def _variances(forms: Complex, sums: Sums) -> tuple[Real, Real]:

@@ -4,11 +4,13 @@ An experiment with a missing or refused steady period is left out whole, and a r
 its experiments are complete: the input matrix of a line can be inverted only then.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.fft
 
+from creak.detection import detection_lines
 from creak.records import Complex, Fault, FaultKind, Frame, FrameStatus, Real, Rig, Run
 
 
@@ -23,11 +25,14 @@ class Realisation:
         Recorded time at the end of its last period, ns since the Unix epoch.
     spectra : array, (q, P, F, q + n)
         DFT divided by N of inputs, then responses, at the excited lines.
+    left_out : array, (q, P, lines, q + n)
+        The same at the detection lines, odd ones first.
     """
 
     index: int
     end: int
     spectra: Complex
+    left_out: Complex
 
 
 @dataclass(frozen=True)
@@ -39,20 +44,22 @@ class Collected:
     realisation: Realisation | None = None
 
 
-def spectrum(rig: Rig, u: Real, y: Real) -> Complex:
-    """DFT of one period at the excited lines, divided by N.
+def spectrum(rig: Rig, u: Real, y: Real, lines: Sequence[int] | None = None) -> Complex:
+    """DFT of one period at some lines, divided by N.
 
     Parameters
     ----------
     u : array, (q, N)
     y : array, (n, N)
+    lines : sequence of int, optional
+        The excited ones if not given.
 
     Returns
     -------
     array, (F, q + n)
     """
-    lines = np.asarray(rig.lines)
-    channels = scipy.fft.rfft(np.concatenate((u, y)), axis=-1)[:, lines]
+    at = np.asarray(rig.lines if lines is None else lines)
+    channels = scipy.fft.rfft(np.concatenate((u, y)), axis=-1)[:, at]
     return np.ascontiguousarray(channels.T / rig.period_samples)
 
 
@@ -61,7 +68,10 @@ _SPOILING = (FaultKind.WRONG_SHAPE, FaultKind.NOT_FINITE)
 
 @dataclass
 class _Open:
-    """The realisation that is being filled: a slot for every steady period of every experiment."""
+    """The realisation that is being filled: a slot for every steady period of every experiment.
+
+    Its spectra hold the excited lines, then the detection lines.
+    """
 
     index: int
     spectra: Complex
@@ -80,6 +90,7 @@ class Collector:
 
     def __init__(self, run: Run) -> None:
         self._run = run
+        self._lines = run.rig.lines + detection_lines(run.rig).all
         self._open: _Open | None = None
         self._closed = -1  # index of the last realisation that takes no more frames
 
@@ -109,7 +120,7 @@ class Collector:
         if current.filled[frame.experiment, period]:
             refused = self._refuse(frame, FaultKind.DOUBLED, "came already; the first one counts")
             return Collected(refused.frame, faults + refused.faults)
-        current.spectra[frame.experiment, period] = spectrum(self._run.rig, frame.u, frame.y)
+        current.spectra[frame.experiment, period] = spectrum(self._run.rig, frame.u, frame.y, self._lines)
         current.filled[frame.experiment, period] = True
         current.end = max(current.end, frame.time + round(self._run.rig.period_ns))
         accepted = _judged(frame, FrameStatus.ACCEPTED)
@@ -119,7 +130,9 @@ class Collector:
         fault = _singular(self._run, current)
         if fault is not None:
             return Collected(accepted, (*faults, fault))
-        return Collected(accepted, faults, Realisation(current.index, current.end, current.spectra))
+        F = len(self._run.rig.lines)
+        spectra, left_out = current.spectra[:, :, :F].copy(), current.spectra[:, :, F:]
+        return Collected(accepted, faults, Realisation(current.index, current.end, spectra, left_out))
 
     def lose(self, fault: Fault) -> tuple[Fault, ...]:
         """Take note of a frame that a source says never came; gives what follows from it."""
@@ -183,7 +196,7 @@ class Collector:
         self._closed = index - 1
         self._open = _Open(
             index=index,
-            spectra=np.empty((rig.q, steady, len(rig.lines), rig.q + rig.n), dtype=np.complex128),
+            spectra=np.empty((rig.q, steady, len(self._lines), rig.q + rig.n), dtype=np.complex128),
             filled=np.zeros((rig.q, steady), dtype=np.bool_),
         )
         return faults
@@ -220,7 +233,9 @@ _SINGULAR = 1e8  # condition number of the input matrix beyond which its inverse
 def _singular(run: Run, current: _Open) -> Fault | None:
     """Fault if the input matrix ``(q, q)`` of a line, averaged over periods, cannot be inverted."""
     q = run.rig.q
-    inputs = current.spectra[..., :q].mean(axis=1).transpose(1, 2, 0)  # (F, q inputs, q experiments)
+    inputs = (
+        current.spectra[:, :, : len(run.rig.lines), :q].mean(axis=1).transpose(1, 2, 0)
+    )  # (F, q inputs, q experiments)
     condition = np.linalg.cond(inputs)
     worst = int(np.argmax(np.nan_to_num(condition, nan=np.inf)))
     if condition[worst] < _SINGULAR:

@@ -26,6 +26,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from creak.findings import DetectionLevel
+
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -250,6 +252,12 @@ class FaultKind(StrEnum):
     SINGULAR = "singular"  # a realisation whose input matrix cannot be inverted
     DAMAGED = "damaged"  # a part of a recording that cannot be read
     STORAGE = "storage"  # the disk is full
+    TRANSIENT = "transient"  # what was discarded has not died out in what is kept
+    DRIFT = "drift"  # the period is not that of the rig
+    CLIPPED = "clipped"
+    STUCK = "stuck"  # a channel that does not move
+    WRONG_INPUT = "wrong-input"  # other than the excitation says
+    NOT_ORTHOGONAL = "not-orthogonal"  # experiments that resemble each other
 
 
 @dataclass(frozen=True)
@@ -319,6 +327,10 @@ class Spectra:
         ``|Y|^2`` and the variances (40), (39), (41) of the networked residuals.
     classical_noise, classical_total, classical_nonlinear : array, (F, n)
         The same of the residuals from the inputs.
+    p_value, q_value, classical_p_value : array, (F, n), or None
+        Probability of so large a residual if the structure is linear, networked; the smallest rate of false
+        discoveries over all lines and nodes at which it is still significant; and the probability of the
+        residual from the inputs. None in recordings of before these were kept.
     """
 
     frequency: Real
@@ -329,6 +341,9 @@ class Spectra:
     classical_noise: Real
     classical_total: Real
     classical_nonlinear: Real
+    p_value: Real | None = None
+    q_value: Real | None = None
+    classical_p_value: Real | None = None
 
 
 @dataclass(frozen=True)
@@ -368,6 +383,10 @@ class Estimate:
     elements : tuple of ElementShare
     unavailable : tuple of str
         What the data do not carry, and why, a sentence each.
+    detection : tuple of DetectionLevel
+        Distortion at the lines left out, a node each; empty where the grid leaves none.
+    remarks : tuple of str
+        What else the data say about their own use, a sentence each.
     """
 
     scope: Scope
@@ -381,6 +400,8 @@ class Estimate:
     located: bool
     elements: tuple[ElementShare, ...] = ()
     unavailable: tuple[str, ...] = ()
+    detection: tuple[DetectionLevel, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 class AlarmState(StrEnum):

@@ -138,6 +138,23 @@ class Sums:
         """Number of experiments, E = M q."""
         return self.realisations * self.inputs
 
+    def about_least_squares(self) -> "Sums":
+        """Express the same realisations with residuals about ``S = sum Y U^H (sum U U^H)^-1`` over the period means.
+
+        Where amplitudes are equal and experiments orthogonal that is (28). Where they differ, (28) gives a weak
+        realisation the weight of a strong one; its residuals then are no longer orthogonal to the inputs, and the
+        F test of :mod:`creak.network` is spoilt. The moments make the change exact: ``sum R U^H (sum U U^H)^-1``
+        is what is missing in ``S``.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the inputs do not span all directions.
+        """
+        q = self.inputs
+        inputs, cross = self.between[:, :q, :q], self.between[:, q:, :q]
+        return self._about(self.S + _divide(cross, inputs))
+
     def _about(self, S: Complex) -> "Sums":
         """Express the same realisations with residuals about another ``S``: ``V' = T V``, ``T = [I 0; D I]``."""
         D = self.S - S

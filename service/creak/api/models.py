@@ -100,6 +100,16 @@ class Moment(Levels):
     time: str
 
 
+class Band(BaseModel):
+    """Lines of a node's spectrum taken together."""
+
+    from_hz: float
+    to_hz: float
+    lines: int
+    p_value: float | None
+    classical_p_value: float | None
+
+
 class Spectrum(Answer):
     """Power per excited line, dB re 1 unit squared; null where it is zero or not known."""
 
@@ -116,6 +126,12 @@ class Spectrum(Answer):
     classical_noise_db: list[Decibels]
     classical_total_db: list[Decibels]
     classical_nonlinear_db: list[Decibels]
+    p_value: list[float | None] = Field(description="Of each line, uniform on [0, 1] if the structure is linear.")
+    q_value: list[float | None] = Field(description="As a rate of false discoveries over lines and nodes.")
+    classical_p_value: list[float | None]
+    false_discovery_rate: float
+    significant: list[bool | None] = Field(description="True where `q_value` is at most `false_discovery_rate`.")
+    bands: list[Band] = Field(description="All lines, then octaves.")
 
 
 class Element(Answer):
@@ -342,6 +358,12 @@ Spectrum.example = {
     "classical_noise_db": [-121.7, -122.0],
     "classical_total_db": [-92.1, -91.5],
     "classical_nonlinear_db": [-92.1, None],
+    "p_value": [3e-6, 0.4],
+    "q_value": [2e-5, 0.7],
+    "classical_p_value": [1e-12, 0.2],
+    "false_discovery_rate": 0.05,
+    "significant": [True, False],
+    "bands": [{"from_hz": 0.25, "to_hz": 0.5, "lines": 2, "p_value": 1e-5, "classical_p_value": 1e-11}],
 }
 AlarmPage.example = {"items": [_ALARM], "next": None}
 AlarmDetail.example = {**_ALARM, "changes": [_ALARM]}

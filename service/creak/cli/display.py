@@ -166,6 +166,17 @@ def level_table(nodes: list[dict[str, Any]], title: str) -> Table:
     return table
 
 
+def detection_table(levels: list[dict[str, Any]]) -> Table:
+    """Table of what the lines left out show; ``levels`` as in ``replay --json``'s ``detection``."""
+    table = Table(title="mean level of a line", title_justify="left")
+    table.add_column("node")
+    for heading in ("excited dB", "odd dB", "even dB", "noise dB"):
+        table.add_column(heading, justify="right")
+    for level in levels:
+        table.add_row(level["name"], *(_decibel(level[f"{key}_db"]) for key in ("excited", "odd", "even", "noise")))
+    return table
+
+
 def _decibel(value: float | None) -> str:
     return "–" if value is None else f"{value:.1f}"
 

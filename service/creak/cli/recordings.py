@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from creak.cli.display import ProgressBar, console, level_table
+from creak.cli.display import ProgressBar, console, detection_table, level_table
 from creak.codec import parse_time, summary_json
 from creak.config.rig import load_rig
 from creak.errors import ConfigurationError, InputError
@@ -141,7 +141,9 @@ def replay(
         highlight=False,
     )
     out.print(level_table(document["nodes"], "whole run"))
-    for sentence in document["unavailable"]:
+    if document["detection"]:
+        out.print(detection_table(document["detection"]))
+    for sentence in (*document["unavailable"], *document["remarks"]):
         out.print(sentence, highlight=False)
 
 
@@ -187,7 +189,7 @@ def _too_few_windows(run: Run, newest: _Newest) -> Iterator[str]:
 def _record(source: Source, output: Path, frames: int, label: str) -> None:
     """Drive a source into a recording that appears under its name only when it is whole."""
     newest = _Newest()
-    with _whole_file(output) as unfinished:
+    with whole_file(output) as unfinished:
         recorder = Recorder(unfinished)
         monitor, end = drive(source, [recorder, newest, ProgressBar(label, frames)])
         if end.status is RunStatus.INTERRUPTED:
@@ -204,7 +206,7 @@ def _record(source: Source, output: Path, frames: int, label: str) -> None:
 
 
 @contextmanager
-def _whole_file(output: Path) -> Iterator[Path]:
+def whole_file(output: Path) -> Iterator[Path]:
     """A name beside the output to write to; takes its place if all goes well, and is gone if not."""
     if output.is_dir() or not output.parent.is_dir():
         problem = "is a directory" if output.is_dir() else f"there is no directory {output.parent}"

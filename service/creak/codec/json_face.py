@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from creak.errors import InputError
+from creak.findings import DetectionLevel
 from creak.records import (
     AlarmChange,
     AlarmState,
@@ -21,7 +22,9 @@ from creak.records import (
     Fault,
     NodeLevel,
     Real,
+    Spectra,
 )
+from creak.significance import FALSE_DISCOVERIES, octaves, pooled_p_value
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _TIME = re.compile(
@@ -107,6 +110,17 @@ def element_json(element: ElementShare) -> dict[str, Any]:
     }
 
 
+def detection_json(level: DetectionLevel) -> dict[str, Any]:
+    """Show what the lines left out say about a node."""
+    return {
+        "name": level.name,
+        "excited_db": _number(level.excited_db),
+        "odd_db": _number(level.odd_db),
+        "even_db": _number(level.even_db),
+        "noise_db": _number(level.noise_db),
+    }
+
+
 def alarm_json(change: AlarmChange) -> dict[str, Any]:
     """Show an alarm occurrence as its newest change leaves it."""
     return {
@@ -177,13 +191,15 @@ def summary_json(
         "transient_frames": counts.transient_frames,
         "faults": dict(counts.faults),
         "unavailable": list(dict.fromkeys(said)),
+        "detection": [detection_json(level) for level in (estimate.detection if estimate is not None else ())],
+        "remarks": list(estimate.remarks) if estimate is not None else [],
     }
 
 
 def spectrum_json(estimate: Estimate, node: str) -> dict[str, Any]:
-    """Show the levels of one node per excited line, dB re 1 unit squared.
+    """Show the levels of one node per excited line, dB re 1 unit squared, and what of them is significant.
 
-    They are null where the power is not positive or not known.
+    They are null where the power is not positive or not known. The first of ``bands`` is all lines.
 
     Raises
     ------
@@ -203,8 +219,35 @@ def spectrum_json(estimate: Estimate, node: str) -> dict[str, Any]:
         "classical_total_db": spectra.classical_total,
         "classical_nonlinear_db": spectra.classical_nonlinear,
     }
-    return {"frequency_hz": spectra.frequency.tolist()} | {
-        key: _decibels(power[:, column]) for key, power in powers.items()
+    levels = {key: _decibels(power[:, column]) for key, power in powers.items()}
+    return {"frequency_hz": spectra.frequency.tolist()} | levels | _significance(spectra, column)
+
+
+def _significance(spectra: Spectra, column: int) -> dict[str, Any]:
+    """What of a node's spectrum is significant: per line, per octave, and over all lines."""
+    lines = len(spectra.frequency)
+    unknown = np.full(lines, np.nan)
+    p, q, classical = (
+        unknown if values is None else values[:, column]
+        for values in (spectra.p_value, spectra.q_value, spectra.classical_p_value)
+    )
+    bands = [
+        {
+            "from_hz": float(spectra.frequency[band][0]),
+            "to_hz": float(spectra.frequency[band][-1]),
+            "lines": len(spectra.frequency[band]),
+            "p_value": _number(float(pooled_p_value(p[band]))),
+            "classical_p_value": _number(float(pooled_p_value(classical[band]))),
+        }
+        for band in (slice(0, lines), *octaves(spectra.frequency))
+    ]
+    return {
+        "p_value": [_number(value) for value in p.tolist()],
+        "q_value": [_number(value) for value in q.tolist()],
+        "classical_p_value": [_number(value) for value in classical.tolist()],
+        "false_discovery_rate": FALSE_DISCOVERIES,
+        "significant": [None if math.isnan(value) else value <= FALSE_DISCOVERIES for value in q.tolist()],
+        "bands": bands if lines else [],
     }
 
 

@@ -12,6 +12,7 @@ from google.protobuf.message import DecodeError
 
 from creak.codec.schemas import FORMAT, LAYOUT, MESSAGES
 from creak.errors import RecordingError
+from creak.findings import DetectionLevel
 from creak.records import (
     AlarmChange,
     AlarmState,
@@ -281,6 +282,7 @@ _CLASSES: dict[str, Any] = {
         NodeLevel,
         Spectra,
         ElementShare,
+        DetectionLevel,
         Estimate,
         AlarmChange,
         Counts,

@@ -97,8 +97,18 @@ LAYOUT: Final[dict[str, dict[str, str]]] = {
         "classical_noise": "Array",
         "classical_total": "Array",
         "classical_nonlinear": "Array",
+        "p_value": "Array?",
+        "q_value": "Array?",
+        "classical_p_value": "Array?",
     },
     "ElementShare": {"between": "string*", "share": "double", "confidence": "double", "separable": "bool"},
+    "DetectionLevel": {
+        "name": "string",
+        "excited_db": _LEVEL,
+        "odd_db": _LEVEL,
+        "even_db": _LEVEL,
+        "noise_db": _LEVEL,
+    },
     "Estimate": {
         "scope": "string",
         "time": "int64",
@@ -111,6 +121,8 @@ LAYOUT: Final[dict[str, dict[str, str]]] = {
         "located": "bool",
         "elements": "ElementShare*",
         "unavailable": "string*",
+        "detection": "DetectionLevel*",
+        "remarks": "string*",
     },
     "AlarmChange": {
         "id": "string",

@@ -116,8 +116,10 @@ def spectrum(connection: sa.Connection, run: Row, node: str, scope: Scope) -> Js
     row = connection.execute(query).mappings().first()
     if row is None:
         return None
-    samples = np.frombuffer(row["samples"], "<f8").reshape(len(SPECTRA), -1).astype(np.float64)
-    columns = {name: samples[i][:, np.newaxis] for i, name in enumerate(SPECTRA) if name != "frequency"}
+    samples = np.frombuffer(row["samples"], "<f8").reshape(-1, run["lines"]).astype(np.float64)
+    # A database of before p-values were kept has fewer rows: those are the first ones, and the rest is unknown.
+    kept = zip(SPECTRA[1:], samples[1:], strict=False)
+    columns = {name: values[:, np.newaxis] for name, values in kept}
     estimate = Estimate(
         scope=scope,
         time=row["time"],

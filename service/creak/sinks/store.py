@@ -369,8 +369,10 @@ def _keep_newest(connection: sa.Connection, table: sa.Table, run: str, count: in
 
 
 def _spectra_bytes(spectra: Spectra, node: int) -> bytes:
-    """Pack one node's spectra, ``(8, F)`` float64, little endian."""
-    rows = [spectra.frequency, *(getattr(spectra, name)[:, node] for name in SPECTRA[1:])]
+    """Pack one node's spectra, ``(len(SPECTRA), F)`` float64, little endian; NaN where there is none."""
+    columns = [getattr(spectra, name) for name in SPECTRA[1:]]
+    unknown = np.full(len(spectra.frequency), np.nan)
+    rows = [spectra.frequency, *(unknown if column is None else column[:, node] for column in columns)]
     return np.stack(rows).astype("<f8").tobytes()
 
 

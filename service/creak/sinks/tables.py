@@ -118,7 +118,7 @@ spectra = sa.Table(
     sa.Column("scope", sa.String(8), primary_key=True),
     sa.Column("node", sa.Text, primary_key=True),
     sa.Column("estimate", sa.ForeignKey("estimates.id", ondelete="CASCADE"), nullable=False, index=True),
-    sa.Column("samples", sa.LargeBinary, nullable=False),  # (8, F) float64, little endian
+    sa.Column("samples", sa.LargeBinary, nullable=False),  # (fields of Spectra, F) float64, little endian
 )
 
 alarms = sa.Table(

@@ -1,0 +1,64 @@
+"""All that is kept of realisations, and all that is said from it: levels, detection lines, remarks."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from creak.detection import LineSums, detection_levels
+from creak.edges import edge_remarks, edge_tests, reference
+from creak.network import estimate
+from creak.realisations import Realisation
+from creak.records import Estimate, Rig, Scope
+from creak.statistics import Sums
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Sums of complete realisations; blocks add, in any order.
+
+    Parameters
+    ----------
+    sums : Sums
+        At the excited lines.
+    excited, left_out : LineSums
+        Powers of the responses at the excited lines and at the detection lines.
+    """
+
+    sums: Sums
+    excited: LineSums
+    left_out: LineSums
+
+    @classmethod
+    def of(cls, realisation: Realisation, inputs: int) -> "Block":
+        """Sums of one realisation."""
+        return cls(
+            sums=Sums.of(realisation.spectra, inputs),
+            excited=LineSums.of(realisation.spectra[..., inputs:]),
+            left_out=LineSums.of(realisation.left_out[..., inputs:]),
+        )
+
+    def __add__(self, other: "Block") -> "Block":
+        """Sums of both operands' realisations together."""
+        return Block(self.sums + other.sums, self.excited + other.excited, self.left_out + other.left_out)
+
+
+def judged(rig: Rig, block: Block, scope: Scope, last: Realisation) -> Estimate:
+    """Estimate from a block, with detection lines, the test of given edges, and remarks.
+
+    Parameters
+    ----------
+    rig : Rig
+    block : Block
+    scope : Scope
+    last : Realisation
+        The last one in the block.
+    """
+    chosen = reference(block.sums, tuple(node.name for node in rig.nodes))
+    levels = estimate(rig, chosen.sums, scope, last.end, last.index)
+    remarks = chosen.remarks
+    if levels.located and scope is Scope.RUN:
+        try:
+            remarks += edge_remarks(edge_tests(rig, block.sums))
+        except np.linalg.LinAlgError:
+            remarks += ("the given edges cannot be tested: the response matrix is singular",)
+    return replace(levels, detection=detection_levels(rig, block.excited, block.left_out), remarks=remarks)
