@@ -250,6 +250,11 @@ class FaultKind(StrEnum):
     SINGULAR = "singular"  # a realisation whose input matrix cannot be inverted
     DAMAGED = "damaged"  # a part of a recording that cannot be read
     STORAGE = "storage"  # the disk is full
+    CORRUPTED = "corrupted"  # a frame of a bus that is too short or has a wrong checksum
+    RESTARTED = "restarted"  # a controller that began again
+    SILENT = "silent"  # a rig that sends nothing
+    BUS_OFF = "bus-off"  # a bus with too many errors, which its interface has left
+    DISCONNECTED = "disconnected"  # an interface that cannot be read
 
 
 @dataclass(frozen=True)
