@@ -258,6 +258,11 @@ class FaultKind(StrEnum):
     STUCK = "stuck"  # a channel that does not move
     WRONG_INPUT = "wrong-input"  # other than the excitation says
     NOT_ORTHOGONAL = "not-orthogonal"  # experiments that resemble each other
+    CORRUPTED = "corrupted"  # a frame of a bus that is too short or has a wrong checksum
+    RESTARTED = "restarted"  # a controller that began again
+    SILENT = "silent"  # a rig that sends nothing
+    BUS_OFF = "bus-off"  # a bus with too many errors, which its interface has left
+    DISCONNECTED = "disconnected"  # an interface that cannot be read
 
 
 @dataclass(frozen=True)

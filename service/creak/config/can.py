@@ -1,0 +1,99 @@
+"""``[rigs.source]`` of kind can: a bus or its logs, and which signals of the DBC are what."""
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from creak.config.validation import explain, parse_toml, read_text
+
+Count = Annotated[int, Field(ge=1, strict=True)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Name = Annotated[str, Field(min_length=1)]
+Option = str | int | float | bool
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class CounterTable(_Strict):
+    """``counters.<message>``: by which counter the samples of one message are placed."""
+
+    signal: Name  # in the message itself, or in the SYNC message that goes before it
+    counts: Literal["samples", "frames"] = "samples"
+    wraps: Annotated[int, Field(ge=2, strict=True)] | None = None
+    offset: Annotated[int, Field(strict=True)] = 0
+
+
+class SignalsTable(_Strict):
+    """``[rigs.source.signals]``: names as ``Message.Signal``; ``{}`` stands for 0, 1, 2 ... in one frame."""
+
+    inputs: dict[str, Name | list[Name]] = {}
+    responses: dict[str, Name | list[Name]] = {}
+    counter: Name | None = None
+    counts: Literal["samples", "frames"] = "samples"
+    wraps: Annotated[int, Field(ge=2, strict=True)] | None = None
+    counters: dict[str, CounterTable] = {}
+    realisation: Name | None = None
+    experiment: Name | None = None
+    period: Name | None = None
+    valid: list[Name] = []
+    checksum: list[Name] = []
+
+    @model_validator(mode="after")
+    def _markers_from_the_coarsest(self) -> Self:
+        given = [name for name in ("realisation", "experiment", "period") if getattr(self, name) is not None]
+        for finer, coarser in (("period", "experiment"), ("experiment", "realisation")):
+            if finer in given and coarser not in given:
+                raise ValueError(f"{coarser}: is missing; a marker '{finer}' means nothing without it")
+        return self
+
+    @property
+    def markers(self) -> tuple[str, ...]:
+        """Names of the markers' signals that are given, from the coarsest on."""
+        return tuple(name for name in (self.realisation, self.experiment, self.period) if name is not None)
+
+
+class CanSource(_Strict):
+    """``[rigs.source]`` of kind can."""
+
+    kind: Literal["can"]
+    dbc: Path
+    interface: Name | None = None
+    channel: Annotated[int, Field(strict=True)] | Name | None = None
+    fd: bool = False
+    bitrate: Count | None = None
+    data_bitrate: Count | None = None
+    options: dict[str, Option] = {}
+    logs: list[Path] = []
+    steady_periods: Count = 2
+    silence: Positive = 1.0  # s without a frame of the rig after which it is silent
+    patience: Annotated[float, Field(gt=0, lt=1)] = 0.5  # periods that a frame may be late
+    signals: SignalsTable = SignalsTable()
+
+    @model_validator(mode="after")
+    def _a_bus_or_logs(self) -> Self:
+        if (self.interface is None) == (not self.logs):
+            raise ValueError("interface: give either 'interface' (and 'channel') for a bus, or 'logs'")
+        if self.data_bitrate is not None and self.bitrate is None:
+            raise ValueError("bitrate: is missing; 'data_bitrate' is given")
+        return self
+
+    def anchored(self, base: Path) -> "CanSource":
+        """Return the same with paths counted from a directory."""
+        return self.model_copy(update={"dbc": base / self.dbc, "logs": [base / log for log in self.logs]})
+
+
+def load_signals(path: Path) -> SignalsTable:
+    """Read a file that holds the keys of ``[rigs.source.signals]``.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file cannot be read or holds what is not allowed.
+    """
+    try:
+        return SignalsTable.model_validate(parse_toml(read_text(path), str(path)))
+    except ValidationError as error:
+        raise explain(error, str(path)) from None
