@@ -50,7 +50,7 @@ def make_run(rig, steady=2, window=4, limits=None, start=0, run_id="run"):
         rig=rig,
         steady_periods=steady,
         start=start,
-        excitation=Excitation("multisine", rms=1.0, seed=1),
+        excitation=Excitation("measured", rms=1.0),  # of whatever seed the frames have
         source="simulated",
         window=window,
         limits=limits or Limits(),

@@ -35,7 +35,7 @@ def test_a_square_shows_on_even_lines_and_a_cube_on_odd_ones(rng, noise):
     """Kills exchanged parities, a factor of 2 or N, and noise that is not taken off."""
     rig = make_rig(2, samples=512, lines=[line for line in range(3, 120, 2) if line % 8 != 5], transient=0)
     plan = make_run(rig, steady=4)
-    clean = [f for f in make_frames(plan, 3, noise=0)]
+    clean = make_frames(plan, 3, noise=0)
     lines = detection_lines(rig)
     for power, weight in ((2, 0.02), (3, 0.02)):
         monitor, outcomes, added = Monitor(plan), [], []

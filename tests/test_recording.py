@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from creak import multisine
 from creak.errors import RecordingError
-from creak.records import AlarmChange, Fault, FaultKind, Frame, FrameStatus, Run, RunEnd
+from creak.records import AlarmChange, Excitation, Fault, FaultKind, Frame, FrameStatus, Run, RunEnd
 from creak.sinks.recorder import Recorder
 from creak.sources.recording import Recording
 from creak.worker import drive
@@ -104,7 +104,7 @@ class Listed:
     live = False
 
     def __init__(self, items: list[Frame | Fault]) -> None:
-        self.run = replace(run(), window=2)
+        self.run = replace(run(), window=2, excitation=Excitation("multisine", 1.0, 1))
         self.items = items
         self.handed: list[Taken] = []
         self.end: RunEnd | None = None

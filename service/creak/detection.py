@@ -5,8 +5,8 @@ A linear structure answers at neither, so what stands there above the noise is d
 realisation, and without a second input. At the excited lines the same distortion is there too, as strong on
 average as on the odd lines left out; but it hides under the response.
 
-An input that is itself distorted (an amplifier, an actuator that the structure loads) shows at these lines as well:
-then the lines tell that there is distortion, not that it is the structure's.
+An input that is itself distorted (an amplifier, an actuator that the structure loads) shows at these lines as
+well: then the lines tell that there is distortion, not that it is the structure's.
 """
 
 from dataclasses import dataclass

@@ -10,6 +10,7 @@ from operator import add
 
 from creak import alarms
 from creak.judgement import Block, judged
+from creak.quality import Watch
 from creak.realisations import Collector, Realisation
 from creak.records import AlarmChange, AlarmState, Counts, Estimate, Fault, Frame, FrameStatus, Run, Scope
 
@@ -28,6 +29,7 @@ class Monitor:
     def __init__(self, run: Run) -> None:
         self.run = run
         self._collector = Collector(run)
+        self._watch = Watch(run)
         self._blocks: deque[Block] = deque(maxlen=run.window)
         self._whole: Block | None = None
         self._alarms = {node.name: alarms.NodeAlarm() for node in run.rig.nodes}
@@ -70,6 +72,7 @@ class Monitor:
             self._transient += 1
         else:
             self._steady += 1
+        self._watch.take(collected.frame)
         outcomes: list[Outcome] = [collected.frame, *self._note(*collected.faults)]
         if collected.realisation is not None:
             outcomes += self._complete(collected.realisation)
@@ -86,12 +89,13 @@ class Monitor:
 
     def _complete(self, realisation: Realisation) -> list[Outcome]:
         rig = self.run.rig
+        flaws = self._note(*self._watch.judge(realisation))
         block = Block.of(realisation, rig.q)
         self._blocks.append(block)
         self._whole = block if self._whole is None else self._whole + block
         window = judged(rig, reduce(add, self._blocks), Scope.WINDOW, realisation)
         whole = judged(rig, self._whole, Scope.RUN, realisation)
-        outcomes: list[Outcome] = [window, whole]
+        outcomes: list[Outcome] = [*flaws, window, whole]
         for level in window.nodes:
             self._alarms[level.name], changes = alarms.step(
                 self.run, self._alarms[level.name], level, realisation.end

@@ -139,7 +139,7 @@ class Sums:
         return self.realisations * self.inputs
 
     def about_least_squares(self) -> "Sums":
-        """Express the same realisations with residuals about ``S = sum Y U^H (sum U U^H)^-1`` over the period means.
+        """Express the same with residuals about ``S = sum Y U^H (sum U U^H)^-1`` of the period means.
 
         Where amplitudes are equal and experiments orthogonal that is (28). Where they differ, (28) gives a weak
         realisation the weight of a strong one; its residuals then are no longer orthogonal to the inputs, and the

@@ -172,8 +172,9 @@ def detection_table(levels: list[dict[str, Any]]) -> Table:
     table.add_column("node")
     for heading in ("excited dB", "odd dB", "even dB", "noise dB"):
         table.add_column(heading, justify="right")
+    keys = ("excited_db", "odd_db", "even_db", "noise_db")
     for level in levels:
-        table.add_row(level["name"], *(_decibel(level[f"{key}_db"]) for key in ("excited", "odd", "even", "noise")))
+        table.add_row(level["name"], *(_decibel(level[key]) for key in keys))
     return table
 
 

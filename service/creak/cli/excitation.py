@@ -83,7 +83,7 @@ def excitation(
     lowest, highest = document["crest_factor"]["lowest"], document["crest_factor"]["highest"]
     Console().print(
         f"{output}: {document['experiments']} experiments of {document['inputs']} inputs and {u.shape[-1]} "
-        f"samples, {len(measured.lines)} lines of {rms:g} rms together; crest factor {lowest:.2f} to {highest:.2f}",
+        f"samples, {len(measured.lines)} lines, {rms:g} rms; crest factor {lowest:.2f} to {highest:.2f}",
         highlight=False,
         soft_wrap=True,
     )

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -15,7 +15,8 @@ from creak.cli.display import ProgressBar, console, detection_table, level_table
 from creak.codec import parse_time, summary_json
 from creak.config.rig import load_rig
 from creak.errors import ConfigurationError, InputError
-from creak.records import Estimate, Run, RunEnd, RunStatus, Scope
+from creak.quality import FLAWS
+from creak.records import Estimate, Fault, FaultKind, Run, RunEnd, RunStatus, Scope
 from creak.sinks.recorder import Recorder
 from creak.sources.protocol import Source
 from creak.worker import drive
@@ -92,16 +93,22 @@ def import_(
     rig: RigFile,
     output: Output,
     start: Annotated[str, typer.Option(help="Recorded time of the first sample, ISO 8601.")] = "1970-01-01",
+    excitation: Annotated[
+        Path | None, typer.Option(help="What the generator was to play (.npz, .mat); other inputs are refused.")
+    ] = None,
 ) -> None:
     """Make a recording from measured data.
 
     Example: `creak import measured.npz --rig rig.toml --output measured.mcap`
     """
-    from creak.sources.measurement import Measurement, read_measurement
+    from creak.sources.measurement import Measurement, read_excitation, read_measurement
+    from creak.sources.measurement_checks import check_excitation
 
     measured = load_rig(rig)
     begin = _start(start)
     u, y = read_measurement(files, measured)
+    if excitation is not None:
+        check_excitation(u, read_excitation(excitation), measured, str(files[0]), str(excitation))
     source = Measurement(u, y, measured, begin)
     _record(source, output, len(u) * source.run.periods, "importing")
 
@@ -131,6 +138,7 @@ def replay(
     document = summary_json(
         rig.name, monitor.counts, newest.estimate, monitor.alarms, recording.truncated, unavailable=unavailable
     )
+    document["quality"] = newest.quality
     if as_json:
         typer.echo(json.dumps(document, indent=1, allow_nan=False))
         return
@@ -145,6 +153,10 @@ def replay(
         out.print(detection_table(document["detection"]))
     for sentence in (*document["unavailable"], *document["remarks"]):
         out.print(sentence, highlight=False)
+    for flaw in document["quality"]:
+        out.print(
+            f"{flaw['kind']}: {flaw['message']}{_more(flaw['realisations'])}", style="yellow", highlight=False
+        )
 
 
 def replay_line(paths: list[Path]) -> str:
@@ -158,22 +170,37 @@ class _Newest:
     def __init__(self) -> None:
         self.estimate: Estimate | None = None
         self.windows = 0
+        self.flaws: dict[FaultKind, list[Fault]] = {}
 
     def open(self, run: Run) -> None:
         pass
 
     def take(self, record: object) -> None:
-        if isinstance(record, Estimate):
+        if isinstance(record, Fault) and record.kind in FLAWS:
+            self.flaws.setdefault(record.kind, []).append(record)
+        elif isinstance(record, Estimate):
             if record.scope is Scope.RUN:
                 self.estimate = record
             elif record.nodes[0].p_value is not None:
                 self.windows += 1
+
+    @property
+    def quality(self) -> list[dict[str, Any]]:
+        """What is wrong with the data, a kind each: its first finding, and how many realisations have one."""
+        return [
+            {"kind": kind.value, "message": found[0].message, "realisations": len({f.realisation for f in found})}
+            for kind, found in self.flaws.items()
+        ]
 
     def tick(self, now: float) -> None:
         pass
 
     def close(self, end: RunEnd) -> None:
         pass
+
+
+def _more(realisations: int) -> str:
+    return f" (so in {realisations} realisations)" if realisations > 1 else ""
 
 
 def _too_few_windows(run: Run, newest: _Newest) -> Iterator[str]:
@@ -197,6 +224,8 @@ def _record(source: Source, output: Path, frames: int, label: str) -> None:
     counts = monitor.counts
     for sentence in newest.estimate.unavailable if newest.estimate else ("no realisation is complete",):
         _warn(sentence)
+    for flaw in newest.quality:
+        _warn(f"{flaw['kind']}: {flaw['message']}{_more(flaw['realisations'])}")
     console().print(
         f"{output}: {counts.realisations} realisations, {counts.frames} frames that count, "
         f"{counts.rejected_frames} rejected",

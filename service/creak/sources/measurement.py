@@ -13,7 +13,14 @@ from creak import __version__
 from creak.errors import MeasurementError
 from creak.records import Excitation, Fault, Frame, Limits, Real, Rig, Run
 from creak.sources.measurement_arrays import read_mat, read_npz
-from creak.sources.measurement_checks import check_finite, check_inputs, check_shapes, shown
+from creak.sources.measurement_checks import (
+    as_numbers,
+    check_finite,
+    check_inputs,
+    check_period,
+    check_shapes,
+    shown,
+)
 from creak.sources.measurement_csv import read_csv
 from creak.sources.measurement_uff import read_uff
 
@@ -71,7 +78,36 @@ def read_measurement(files: Sequence[Path], rig: Rig) -> tuple[Real, Real]:
     check_shapes(u, y, rig, where)
     check_finite(u, y, rig, names)
     check_inputs(u, rig, where)
+    check_period(u, y, rig, where)
     return u, y
+
+
+def read_excitation(path: Path) -> Real:
+    """Read the multisines that a generator was to play, as `creak excitation` writes them (NPZ or MAT).
+
+    Returns
+    -------
+    array, (experiment, input, sample)
+
+    Raises
+    ------
+    MeasurementError
+        If the file cannot be read or holds no ``u``.
+    """
+    with _readable(path):
+        if path.suffix.lower() == ".npz":
+            with np.load(path) as file:
+                if "u" not in file:
+                    raise MeasurementError(f"{path}: has no variable u")
+                return as_numbers(file["u"], f"{path}: u")
+        if path.suffix.lower() == ".mat":
+            import scipy.io
+
+            found = scipy.io.loadmat(path, variable_names=["u"])
+            if "u" not in found:
+                raise MeasurementError(f"{path}: has no variable u")
+            return as_numbers(found["u"], f"{path}: u")
+    raise MeasurementError(f"{path}: an excitation is read from .npz or .mat")
 
 
 def _read(path: Path, readers: dict[str, _Reader], rig: Rig) -> tuple[Real, Real]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from creak.errors import MeasurementError
+from creak.quality import period_drift, wrong_inputs
 from creak.records import Real, Rig
 
 # A matrix beyond this is singular in double precision for every purpose here.
@@ -178,3 +179,64 @@ def check_inputs(u: Real, rig: Rig, where: str) -> None:
             f"at line {lines[k]} ({frequencies[k]:g} Hz), median over the lines {typical[m]:.2g}, expected at "
             f"most {WORST_CONDITION:.0e} and {TYPICAL_CONDITION:.0e}: {q} independent experiments a realisation"
         )
+
+
+def check_period(u: Real, y: Real, rig: Rig, where: str) -> None:
+    """Refuse a measurement whose period is off by half a sample or more, judged on its first realisation.
+
+    Parameters
+    ----------
+    u : array, (E, q, T)
+    y : array, (E, n, T)
+    rig : Rig
+    where : str
+        File name for the message.
+
+    Raises
+    ------
+    MeasurementError
+        With the period that fits.
+    """
+    channels = np.concatenate((u[: rig.q], y[: rig.q]), axis=1)
+    periods = channels.reshape(rig.q, rig.q + rig.n, -1, rig.period_samples)[:, :, rig.transient_periods :]
+    spectra = np.fft.rfft(periods)[..., list(rig.lines)].transpose(0, 2, 3, 1)
+    drift = period_drift(spectra, rig.lines, rig.period_samples)
+    if drift is not None and abs(drift.period_samples - rig.period_samples) >= 0.5:
+        raise MeasurementError(
+            f"{where}: {drift.described(rig.period_samples)} as the rig says (period_samples): that explains "
+            f"{100 * drift.share:.0f} % of the change from period to period"
+        )
+
+
+def check_excitation(u: Real, planned: Real, rig: Rig, where: str, source: str) -> None:
+    """Refuse inputs that are not those of the file which the generator was to play.
+
+    Parameters
+    ----------
+    u : array, (E, q, T)
+    planned : array, (E, q, periods)
+        Whole periods, of which the first counts.
+    rig : Rig
+    where, source : str
+        Names of the measurement and of the excitation's file, for the message.
+
+    Raises
+    ------
+    MeasurementError
+        Naming the first input that differs, and what it is instead.
+    """
+    N, q = rig.period_samples, rig.q
+    if planned.ndim != 3 or planned.shape[1] != q or planned.shape[2] % N or len(planned) < len(u):
+        raise MeasurementError(
+            f"{source}: u: shape {planned.shape}, expected at least {len(u)} experiments of {q} inputs "
+            f"and whole periods of {N} samples"
+        )
+    lines = list(rig.lines)
+    steady = u.reshape(len(u), q, -1, N)[:, :, rig.transient_periods :].mean(axis=2)
+    have, want = (np.fft.rfft(array)[..., lines] for array in (steady, planned[: len(u), :, :N]))
+    names = tuple(f"input {rig.nodes[i].name}" for i in rig.driven)
+    for m in range(len(u) // q):
+        own = slice(m * q, (m + 1) * q)
+        wrong = wrong_inputs(have[own], want[own], rig.lines, N, names)
+        if wrong is not None:
+            raise MeasurementError(f"{where}: u: realisation {m}: {wrong} ({source})")

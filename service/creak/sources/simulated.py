@@ -55,6 +55,8 @@ class SimulatedRig:
         Realisations over which live levels are taken.
     limits : Limits or None
         Alarm limits; None for the usual ones.
+    substeps : int or None
+        Time steps a sample; None for as many as the noise asks for.
 
     Raises
     ------
@@ -63,8 +65,8 @@ class SimulatedRig:
 
     Notes
     -----
-    The number of time steps a sample is chosen for every model when its first realisation comes, so that
-    the stepping error lies 10 dB below the noise; see `resolution`.
+    Unless it is given, the number of time steps a sample is chosen for every model when its first realisation
+    comes, so that the stepping error lies 10 dB below the noise; see `resolution`.
     """
 
     live: bool = False  # a simulation can wait
@@ -85,12 +87,14 @@ class SimulatedRig:
         run_id: str = "simulated",
         window: int = 4,
         limits: Limits | None = None,
+        substeps: int | None = None,
     ) -> None:
         _check("steady_periods", steady_periods, steady_periods >= 1, "1 or more")
         _check("rms", rms, 0 < rms < math.inf, "finite and greater than 0")
         _check("seed", seed, seed >= 0, "0 or greater")
         _check("snr_db", snr_db, snr_db is None or math.isfinite(snr_db), "finite")
         _check("realisations", realisations, realisations is None or realisations >= 1, "1 or more")
+        _check("substeps", substeps, substeps is None or substeps >= 1, "1 or more")
         _check_pace(pace)
         self.run = Run(
             id=run_id,
@@ -111,6 +115,7 @@ class SimulatedRig:
         self._seed = seed
         self._snr_db = snr_db
         self._realisations = realisations
+        self._substeps = substeps
         self._wake = threading.Condition()
         self._closed = False
         self._pace = pace
@@ -185,6 +190,8 @@ class SimulatedRig:
     def _stepper(self, system: System, u: Real) -> Stepper | None:
         """Choose the steps a sample; None if the source was closed meanwhile."""
         rig = self.run.rig
+        if self._substeps is not None:
+            return Stepper(system, rig.sample_rate, self._substeps, rig.hold)
         noise_db = None if self._snr_db is None else -self._snr_db
         resolution = choose_substeps(
             system, rig.sample_rate, rig.hold, u, rig.transient_periods + 1, noise_db, lambda: self._closed
