@@ -14,8 +14,9 @@ import numpy as np
 import sqlalchemy as sa
 
 from creak.codec import alarm_json, fault_json, node_json, spectrum_json, time_json
-from creak.records import AlarmChange, AlarmState, Estimate, Fault, FaultKind, NodeLevel, Scope, Spectra
+from creak.records import AlarmState, Estimate, Fault, FaultKind, NodeLevel, Scope, Spectra
 from creak.sinks import tables
+from creak.sinks.alarm_rows import change_of
 from creak.sinks.store import SPECTRA, alarm_states
 
 Json = dict[str, Any]
@@ -23,7 +24,6 @@ Row = sa.RowMapping
 
 _LEVELS = tuple(NodeLevel.__dataclass_fields__)
 _FAULT = tuple(Fault.__dataclass_fields__)
-_ALARM = tuple(AlarmChange.__dataclass_fields__)
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ def alarms(connection: sa.Connection, wanted: AlarmFilter, after: tuple[int, int
     query = query.order_by(table.c.since.desc(), table.c.seq.desc()).limit(limit + 1)
     rows = connection.execute(query).mappings().all()
     end = (rows[limit - 1]["since"], rows[limit - 1]["seq"]) if len(rows) > limit else None
-    return Slice([alarm_json(_change(row)) for row in rows[:limit]], end)
+    return Slice([alarm_json(change_of(row)) for row in rows[:limit]], end)
 
 
 def alarm(connection: sa.Connection, identifier: str) -> Json | None:
@@ -216,7 +216,7 @@ def alarm(connection: sa.Connection, identifier: str) -> Json | None:
     changes = connection.execute(
         sa.select(journal.c.payload).where(journal.c.alarm == identifier).order_by(journal.c.seq)
     ).scalars()
-    return {**alarm_json(_change(row)), "changes": [json.loads(change) for change in changes]}
+    return {**alarm_json(change_of(row)), "changes": [json.loads(change) for change in changes]}
 
 
 def recordings(connection: sa.Connection, rig_name: str | None, after: int | None, limit: int) -> Slice:
@@ -311,10 +311,6 @@ def _level(row: Row) -> NodeLevel:
 def _no_level(name: str) -> NodeLevel:
     """Return a node of which nothing is known yet."""
     return NodeLevel(name, math.nan, *[None] * (len(_LEVELS) - 2))
-
-
-def _change(row: Row) -> AlarmChange:
-    return AlarmChange(**{**{name: row[name] for name in _ALARM}, "state": AlarmState(row["state"])})
 
 
 def _time(recorded: int | None) -> str | None:
