@@ -79,7 +79,7 @@ def test_the_names_are_those_of_the_standard():
 
 def test_the_diagram_has_every_state_and_every_event():
     text = diagram()
-    for name in [*AlarmState, *(row.event for row in RULES if row.event not in {"", "relaxed"})]:
+    for name in [*AlarmState, *(row.event for row in RULES if row.event not in {"", "relaxed", "relearning"})]:
         assert name in text
 
 

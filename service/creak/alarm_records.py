@@ -123,6 +123,7 @@ class ActionKind(StrEnum):
     UNSUPPRESS = "unsuppress"
     RETIRE = "retire"  # out of service
     REINSTATE = "reinstate"
+    RELEARN = "relearn"  # the machine was changed on purpose: learn a new baseline of the node
 
 
 @dataclass(frozen=True)

@@ -44,9 +44,7 @@ class Baseline:
     realisations : int
         In those windows.
     complete : bool
-        It is in force.
-    frozen : bool
-        Put in force by hand.
+        It is in force, and frozen: only `relearn` replaces it.
     next_realisation : int
         First one that shares no data with the last window learnt from.
     since, updated : int
@@ -63,7 +61,6 @@ class Baseline:
     reference: Trend = field(default_factory=Trend)
     realisations: int = 0
     complete: bool = False
-    frozen: bool = False
     next_realisation: int = 0
     since: int = 0
     updated: int = 0
@@ -149,7 +146,7 @@ def step(
     if baseline.complete:
         verdicts["baseline"] = judge(run, baseline, x)
     if baseline.successor is not None:
-        after, _ = step(run, baseline.successor, level, realisation, time, healthy)
+        after, _ = step(run, baseline.successor, level, realisation, time, healthy=True)
         baseline = after if after.complete else replace(baseline, successor=after)
     if realisation < baseline.next_realisation:
         return baseline, verdicts
@@ -182,26 +179,13 @@ def judge(run: Run, baseline: Baseline, x: float) -> Verdict:
     return Verdict.BELOW if change < run.baseline.change_db - run.limits.dead_band_db else Verdict.BETWEEN
 
 
-def freeze(baseline: Baseline) -> Baseline:
-    """Put a baseline in force as it is and keep it so.
-
-    Raises
-    ------
-    ValueError
-        If it has too few windows to tell a spread.
-    """
-    if baseline.reference.count < _LEAST_WINDOWS:
-        raise ValueError(
-            f"the baseline of node {baseline.node} has {baseline.reference.count} windows; "
-            f"it needs {_LEAST_WINDOWS} to be frozen"
-        )
-    return replace(baseline, complete=True, frozen=True, successor=None)
-
-
 def relearn(baseline: Baseline) -> Baseline:
-    """Learn a new one; the old one stays in force until that is complete."""
+    """Learn a new one, for a machine that was changed on purpose; the old one is in force until that is complete.
+
+    The new one is learnt from whatever comes: that it departs from the old one is why it was asked for.
+    """
     fresh = Baseline(baseline.node, baseline.state_rms, baseline.reference_power)
-    return replace(baseline, frozen=False, successor=fresh) if baseline.complete else fresh
+    return replace(baseline, successor=fresh) if baseline.complete else fresh
 
 
 def _learn(run: Run, baseline: Baseline, x: float, time: int) -> Baseline:

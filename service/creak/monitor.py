@@ -10,7 +10,7 @@ from functools import reduce
 from operator import add
 
 from creak import alarms, baseline
-from creak.alarm_records import Action, Clock, Conflict, Verdict
+from creak.alarm_records import Action, ActionKind, Clock, Conflict, Verdict
 from creak.alarms import quality
 from creak.baseline import Baseline
 from creak.network import estimate
@@ -171,18 +171,23 @@ class Monitor:
         for name, node in self._alarms.items():
             if node.alarm.id == action.alarm:
                 done = alarms.act(node.alarm, action, self._time, rules, run)
-                if not isinstance(done, Conflict):
-                    self._alarms[name] = replace(node, alarm=done[0])
-                    return done[1]
-                return done
+                if isinstance(done, Conflict):
+                    return done
+                self._alarms[name] = replace(node, alarm=done[0])
+                if action.kind is ActionKind.RELEARN:
+                    self._baselines = tuple(
+                        baseline.relearn(known) if known.node == name else known for known in self._baselines
+                    )
+                return done[1]
         for key, alarm in self._quality.alarms.items():
             if alarm.id == action.alarm:
+                if action.kind is ActionKind.RELEARN:
+                    return Conflict("not_allowed", "an alarm about data has no baseline")
                 done = alarms.act(alarm, action, self._time, rules, run)
-                if not isinstance(done, Conflict):
-                    known = {**self._quality.alarms, key: done[0]}
-                    self._quality = replace(self._quality, alarms=known)
-                    return done[1]
-                return done
+                if isinstance(done, Conflict):
+                    return done
+                self._quality = replace(self._quality, alarms={**self._quality.alarms, key: done[0]})
+                return done[1]
         return Conflict("stale", "the rig has no such alarm now: the occurrence has ended")
 
     def finish(self) -> list[Outcome]:

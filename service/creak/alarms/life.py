@@ -210,6 +210,7 @@ _OPERATORS = {
     "unsuppressed": ActionKind.UNSUPPRESS,
     "retired": ActionKind.RETIRE,
     "reinstated": ActionKind.REINSTATE,
+    "relearning": ActionKind.RELEARN,
 }
 
 

@@ -62,6 +62,7 @@ class Trigger(StrEnum):
     UNSUPPRESS = "unsuppress"
     RETIRE = "retire"
     REINSTATE = "reinstate"
+    RELEARN = "relearn"
 
 
 @dataclass(frozen=True)
@@ -140,8 +141,9 @@ RULES: tuple[Rule, ...] = (
     Rule(Trigger.RETIRE),
     Rule(Trigger.REINSTATE, _is("out_of_service"), _is("not_out_of_service"), "reinstated"),
     Rule(Trigger.REINSTATE),
+    Rule(Trigger.RELEARN, {}, {}, "relearning"),  # changes the baseline, and is told
 )
-"""The transition table; a rule without facts to set changes nothing."""
+"""The transition table; a rule without facts to set changes none."""
 
 STATES: tuple[tuple[Mapping[str, bool], AlarmState], ...] = (
     (_is("out_of_service"), AlarmState.OUT_OF_SERVICE),
