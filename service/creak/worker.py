@@ -12,10 +12,12 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from creak.alarm_records import Conflict
+from creak.codec import memory_bytes
 from creak.errors import CreakError, StorageError
-from creak.monitor import Monitor, Outcome
-from creak.records import Counts, Fault, FaultKind, Frame, RunEnd, RunStatus
-from creak.sinks.protocol import Sink
+from creak.monitor import Memory, Monitor, Outcome
+from creak.records import AlarmChange, Counts, Estimate, Fault, FaultKind, Frame, RunEnd, RunStatus
+from creak.sinks.protocol import Desk, Sink
 from creak.sources.protocol import Source
 
 _log = logging.getLogger(__name__)
@@ -34,8 +36,15 @@ class _Finished:
 class _Path:
     """Monitor and sinks of one run: everything between a source's items and the closed run."""
 
-    def __init__(self, source: Source, sinks: Sequence[Sink]) -> None:
-        self.monitor = Monitor(source.run)
+    def __init__(
+        self,
+        source: Source,
+        sinks: Sequence[Sink],
+        desk: Desk | None = None,
+        memory: Memory | None = None,
+    ) -> None:
+        self.monitor = Monitor(source.run, memory)
+        self._desk = desk
         self._sinks: list[Sink] = []
         self._time = source.run.start  # recorded time up to which data have come
         self._failing: list[Sink] = []
@@ -52,7 +61,21 @@ class _Path:
         """Pass an item through the monitor and hand what follows to the sinks."""
         if isinstance(item, Frame):
             self._time = max(self._time, item.time + round(self.monitor.run.rig.period_ns))
-        self._hand_over(self.monitor.take(item))
+        outcomes = self.monitor.take(item)
+        self._hand_over(outcomes)
+        if self._desk is not None and any(isinstance(outcome, Estimate | AlarmChange) for outcome in outcomes):
+            self._save(self._desk)
+
+    def serve_operators(self) -> None:
+        """Carry out what operators have asked for; the answer follows the changes, and the state that has them."""
+        if self._desk is None:
+            return
+        for asked in self._desk.asked():
+            done = self.monitor.act(asked.action)
+            if not isinstance(done, Conflict):
+                self._hand_over(() if asked.told else done)
+                self._save(self._desk)
+            self._desk.answer(asked, done if isinstance(done, Conflict) else None)
 
     def tick(self, now: float) -> None:
         """Give every sink its turn for timers."""
@@ -86,6 +109,13 @@ class _Path:
                 else:
                     if sink in self._failing and not isinstance(outcome, Frame):
                         self._failing.remove(sink)
+
+    def _save(self, desk: Desk) -> None:
+        memory = self.monitor.memory
+        try:
+            desk.save(memory.time, lambda: memory_bytes(memory))
+        except StorageError as error:
+            _log.warning("%s: what a restart needs was not saved: %s", self.monitor.run.rig.name, error)
 
     def _note_failure(self, sink: Sink, error: OSError) -> None:
         """A place that cannot take more must not end the monitoring: say so once, everywhere else, and go on."""
@@ -156,11 +186,24 @@ class Worker:
     source : Source
     sinks : sequence of Sink
         Opened by :meth:`start`, then fed and closed by the worker's thread alone.
+    desk : Desk or None
+        Where operators ask, and where what a restart needs is kept.
+    memory : Memory or None
+        What an earlier monitor of the rig knew.
     """
 
-    def __init__(self, source: Source, sinks: Sequence[Sink]) -> None:
+    def __init__(
+        self,
+        source: Source,
+        sinks: Sequence[Sink],
+        *,
+        desk: Desk | None = None,
+        memory: Memory | None = None,
+    ) -> None:
         self._source = source
         self._sinks = sinks
+        self._desk = desk
+        self._memory = memory
         self._queue: queue.Queue[Frame | Fault | _Finished] = queue.Queue(_QUEUE_FRAMES)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name=f"rig {source.run.rig.name}")
@@ -177,7 +220,7 @@ class Worker:
         CreakError
             If a sink cannot be opened; the run has then not begun.
         """
-        self._path = _Path(self._source, self._sinks)
+        self._path = _Path(self._source, self._sinks, self._desk, self._memory)
         self._thread.start()
         self._reader.start()
 
@@ -233,6 +276,7 @@ class Worker:
         named = 0
         try:
             while not self._stop.is_set():
+                path.serve_operators()
                 try:
                     item = self._queue.get(timeout=_TICK_SECONDS)
                 except queue.Empty:

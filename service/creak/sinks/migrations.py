@@ -11,7 +11,8 @@ def _to_2(connection: sa.Connection) -> None:
     """Add operators' actions, webhooks, keys and saved states; alarms keep facts without a column."""
     tables.metadata.create_all(connection, tables=operator_tables.ADDED)
     kind = tables.alarms.c.more.type.compile(connection.dialect)
-    connection.exec_driver_sql(f"ALTER TABLE alarms ADD COLUMN more {kind}")
+    for table, column in (("alarms", "more"), ("runs", "rules")):
+        connection.exec_driver_sql(f"ALTER TABLE {table} ADD COLUMN {column} {kind}")
 
 
 STEPS: Mapping[int, Callable[[sa.Connection], None]] = {2: _to_2}

@@ -18,8 +18,9 @@ actions = sa.Table(
     sa.Column("by", sa.Text, nullable=False),
     sa.Column("comment", sa.Text, nullable=False),
     sa.Column("until", sa.BigInteger),  # recorded time, ns; of a shelving
+    sa.Column("version", sa.Integer),  # of the alarm that the operator has seen
     sa.Column("asked_at", sa.BigInteger, nullable=False),
-    sa.Column("status", sa.String(16), nullable=False),  # pending, done, refused
+    sa.Column("status", sa.String(16), nullable=False),  # pending, done, stale, not_allowed
     sa.Column("reason", sa.Text, nullable=False),  # why it was refused
     sa.Column("folded", sa.Boolean, nullable=False),  # the rig's monitor knows it
     sa.Index("actions_pending", "rig", "folded", "seq"),

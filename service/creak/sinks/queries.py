@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
+from creak.alarm_records import AlarmRules
 from creak.codec import alarm_json, fault_json, node_json, spectrum_json, time_json
-from creak.records import AlarmState, Estimate, Fault, FaultKind, NodeLevel, Scope, Spectra
+from creak.records import AlarmChange, AlarmState, Estimate, Fault, FaultKind, NodeLevel, Scope, Spectra
 from creak.sinks import tables
 from creak.sinks.alarm_rows import change_of
 from creak.sinks.store import SPECTRA, alarm_states
@@ -217,6 +218,17 @@ def alarm(connection: sa.Connection, identifier: str) -> Json | None:
         sa.select(journal.c.payload).where(journal.c.alarm == identifier).order_by(journal.c.seq)
     ).scalars()
     return {**alarm_json(change_of(row)), "changes": [json.loads(change) for change in changes]}
+
+
+def alarm_change(connection: sa.Connection, identifier: str) -> AlarmChange | None:
+    """Return the newest change of an alarm; None if there is no such alarm."""
+    row = connection.execute(sa.select(tables.alarms).where(tables.alarms.c.id == identifier)).mappings().first()
+    return None if row is None else change_of(row)
+
+
+def alarm_rules(run: Row | None) -> AlarmRules:
+    """Return the rules by which the alarms of a run live; the usual ones if they are not known."""
+    return AlarmRules(**((run["rules"] if run is not None else None) or {}))
 
 
 def recordings(connection: sa.Connection, rig_name: str | None, after: int | None, limit: int) -> Slice:

@@ -28,7 +28,7 @@ from creak.records import (
     RunStatus,
     Spectra,
 )
-from creak.sinks import tables
+from creak.sinks import operator_tables, tables
 from creak.sinks.alarm_rows import KEEP_EVENTS, put_alarm, tell
 from creak.sinks.database import Store, open_store
 from creak.sinks.tally import Tally
@@ -171,6 +171,14 @@ class StoreSink:
             self._tell(connection, [("run", self._run_event(end.status.value, end.time))])
         self._clean()
 
+    def save(self, recorded: int, payload: bytes) -> None:
+        """Write what the rig's monitor has to know after a restart, in the place of what was there."""
+        row = {"rig": self._rig, "run": self._run, "time": recorded, "payload": payload}
+        with self._store.write() as connection:
+            states = operator_tables.states
+            if not connection.execute(sa.update(states).where(states.c.rig == self._rig).values(row)).rowcount:
+                connection.execute(sa.insert(states).values(row))
+
     def _reached(self, recorded: int) -> None:
         self._last = recorded if self._last is None else max(self._last, recorded)
         self._changed = True
@@ -264,6 +272,13 @@ class StoreSink:
         tell(connection, self._rig, news, self._keep_events)
 
 
+def saved_state(store: Store, rig: str) -> bytes | None:
+    """Return what a rig's monitor saved last; None if there is nothing."""
+    states = operator_tables.states
+    with store.read() as connection:
+        return connection.execute(sa.select(states.c.payload).where(states.c.rig == rig)).scalar()
+
+
 def put_recording(store: Store, entry: RecordingEntry) -> None:
     """Write a recording's entry, or what has changed of it.
 
@@ -306,6 +321,7 @@ def _run_row(run: Run, now: int) -> dict[str, Any]:
         "software": run.software,
         "excitation": asdict(run.excitation),
         "limits": asdict(run.limits),
+        "rules": asdict(run.alarms),
         "start": run.start,
         "last": None,
         "end": None,

@@ -46,6 +46,7 @@ runs = sa.Table(
     sa.Column("software", sa.Text, nullable=False),
     sa.Column("excitation", sa.JSON, nullable=False),
     sa.Column("limits", sa.JSON, nullable=False),
+    sa.Column("rules", sa.JSON),  # AlarmRules; since version 2
     sa.Column("start", _Time, nullable=False),
     sa.Column("last", _Time),  # recorded time of the newest frame or fault
     sa.Column("end", _Time),
