@@ -1,6 +1,7 @@
 """The life of an alarm: a total table, derived names, operators who get what they ask for or are told why not."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -81,6 +82,12 @@ def test_the_diagram_has_every_state_and_every_event():
     text = diagram()
     for name in [*AlarmState, *(row.event for row in RULES if row.event not in {"", "relaxed", "relearning"})]:
         assert name in text
+
+
+def test_the_readme_has_the_diagram_of_this_table():
+    """Kills a picture that was true once: paste what `diagram()` gives."""
+    readme = (Path(__file__).parents[1] / "README.md").read_text()
+    assert f"```mermaid\n{diagram()}\n```" in readme
 
 
 # -- one alarm through its life

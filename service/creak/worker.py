@@ -9,21 +9,24 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from creak.alarm_records import Conflict
+from creak.alarm_records import Action, Clock, Conflict
 from creak.codec import memory_bytes
 from creak.errors import CreakError, StorageError
 from creak.monitor import Memory, Monitor, Outcome
-from creak.records import AlarmChange, Counts, Estimate, Fault, FaultKind, Frame, RunEnd, RunStatus
+from creak.records import AlarmChange, Counts, Estimate, Fault, FaultKind, Frame, FrameStatus, RunEnd, RunStatus
 from creak.sinks.protocol import Desk, Sink
-from creak.sources.protocol import Source
+from creak.sources.protocol import Replayable, Source
 
 _log = logging.getLogger(__name__)
 
 _QUEUE_FRAMES = 16
 _TICK_SECONDS = 0.2
+
+
+Item = Frame | Fault | Action | Clock
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,8 @@ class _Path:
         self._desk = desk
         self._sinks: list[Sink] = []
         self._time = source.run.start  # recorded time up to which data have come
+        self._live = source.live
+        self._heard: tuple[int, float] | None = None  # end of the last good frame, and when it came
         self._failing: list[Sink] = []
         self._failure: StorageError | None = None
         for sink in sinks:
@@ -57,11 +62,16 @@ class _Path:
                 raise
             self._sinks.append(sink)
 
-    def take(self, item: Frame | Fault) -> None:
+    def take(self, item: Item) -> None:
         """Pass an item through the monitor and hand what follows to the sinks."""
-        if isinstance(item, Frame):
-            self._time = max(self._time, item.time + round(self.monitor.run.rig.period_ns))
         outcomes = self.monitor.take(item)
+        if isinstance(item, Frame):
+            end = item.time + round(self.monitor.run.rig.period_ns)
+            self._time = max(self._time, end)
+            if isinstance(outcomes[0], Frame) and outcomes[0].status is not FrameStatus.REJECTED:
+                self._heard = end, time.monotonic()
+        elif isinstance(item, Clock):
+            self._time = max(self._time, item.time)
         self._hand_over(outcomes)
         if self._desk is not None and any(isinstance(outcome, Estimate | AlarmChange) for outcome in outcomes):
             self._save(self._desk)
@@ -76,6 +86,15 @@ class _Path:
                 self._hand_over(() if asked.told else done)
                 self._save(self._desk)
             self._desk.answer(asked, done if isinstance(done, Conflict) else None)
+
+    def pass_time(self, now: float) -> None:
+        """Let recorded time go on where a rig is silent: what is overdue is then known before its next frame.
+
+        A source that may be held back has no silence: its time goes on with its frames.
+        """
+        if self._live and self._heard is not None:
+            end, came = self._heard
+            self.take(Clock(end + round((now - came) * 1e9)))
 
     def tick(self, now: float) -> None:
         """Give every sink its turn for timers."""
@@ -137,6 +156,11 @@ class _Path:
         self._sinks = []
 
 
+def _items(source: Source) -> Iterator[Item]:
+    """All that a source yields; of a recording also what operators did and what fell due."""
+    return source.replayed() if isinstance(source, Replayable) else source.frames()
+
+
 def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
     """Run a source to its end in this thread.
 
@@ -160,7 +184,7 @@ def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
     """
     path = _Path(source, sinks)
     try:
-        for item in source.frames():
+        for item in _items(source):
             path.take(item)
             if path.failure is not None:
                 raise path.failure
@@ -204,7 +228,7 @@ class Worker:
         self._sinks = sinks
         self._desk = desk
         self._memory = memory
-        self._queue: queue.Queue[Frame | Fault | _Finished] = queue.Queue(_QUEUE_FRAMES)
+        self._queue: queue.Queue[Item | _Finished] = queue.Queue(_QUEUE_FRAMES)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name=f"rig {source.run.rig.name}")
         self._reader = threading.Thread(target=self._read, name=f"source {source.run.rig.name}", daemon=True)
@@ -246,7 +270,7 @@ class Worker:
         """Carry items from the source to the queue; runs in the reader's thread."""
         error: Exception | None = None
         try:
-            for item in self._source.frames():
+            for item in _items(self._source):
                 if not self._offer(item):
                     break
         except Exception as found:  # noqa: BLE001 - whatever it is, the run has to end with it and say so
@@ -258,7 +282,7 @@ class Worker:
             except queue.Full:
                 continue
 
-    def _offer(self, item: Frame | Fault) -> bool:
+    def _offer(self, item: Item) -> bool:
         """Queue an item; a source that cannot wait loses it when the queue is full, counted and named."""
         while not self._stop.is_set():
             try:
@@ -280,6 +304,7 @@ class Worker:
                 try:
                     item = self._queue.get(timeout=_TICK_SECONDS)
                 except queue.Empty:
+                    path.pass_time(time.monotonic())
                     path.tick(time.monotonic())
                     continue
                 if isinstance(item, _Finished):
@@ -290,7 +315,7 @@ class Worker:
                 path.take(item)
                 if self._dropped > named:
                     lost, named = self._dropped - named, self._dropped
-                    path.take(self._dropped_fault(lost, item))
+                    path.take(self._dropped_fault(lost, path.monitor.time))
                 path.tick(time.monotonic())
         except Exception as error:  # noqa: BLE001 - a loop must not die silently: the run ends as failed
             status, message = RunStatus.FAILED, str(error) or type(error).__name__
@@ -306,9 +331,9 @@ class Worker:
                 _log.error("%s: %s", self._source.run.rig.name, error)
 
     @staticmethod
-    def _dropped_fault(lost: int, after: Frame | Fault) -> Fault:
+    def _dropped_fault(lost: int, recorded: int) -> Fault:
         return Fault(
             FaultKind.LOST,
-            after.time,
+            recorded,
             f"{lost} frames were dropped: the monitor could not keep up with the source",
         )
