@@ -1,7 +1,6 @@
 """Messages arrive: signed, in order, at least once, and one receiver's trouble is its own."""
 
 import contextlib
-import json
 import socket
 import threading
 import time
@@ -460,3 +459,12 @@ def test_rate_cap_never_lets_more_through(pauses):
     for i, first in enumerate(taken):
         for j in range(i, len(taken)):
             assert j - i + 1 <= 3 + (taken[j] - first) + 1e-6
+
+
+def test_kill_9_loses_no_message():
+    """Six here; the bench does two hundred."""
+    from bench.bench_webhooks import measure
+
+    result = measure(6)
+    assert result["written"] > 6
+    assert (result["lost"], result["ids_of_more_than_one_body"]) == (0, 0)

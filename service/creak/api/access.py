@@ -205,7 +205,7 @@ class Gate:
         try:
             await run_sync(write)
         except StorageError as error:
-            log.error(
+            log.warning(
                 "not in the audit log: %s %s %s by %r from %s (%s)", status, method, path, who, address, error
             )
 

@@ -18,7 +18,7 @@ from creak.codec import alarm_json, parse_time
 from creak.errors import InputError
 from creak.sinks import actions, queries
 from creak.sinks.database import Store
-from creak.webhooks.trouble import RIG as SERVICE
+from creak.sinks.service_alarms import SERVICE
 
 router = APIRouter(prefix="/alarms", tags=["alarms"])
 Json = dict[str, Any]
@@ -106,7 +106,7 @@ async def _act(
     moment. Without a worker the row in the store is all there is, and one transaction changes it.
     """
 
-    def begin() -> str | None:
+    def begin(orphan: bool = False) -> str | None:
         with store.write() as connection:
             standing = queries.alarm_change(connection, identifier)
             if standing is None:
@@ -116,7 +116,7 @@ async def _act(
                 return None  # done already, whoever did it
             action = Action(identifier, kind, body.by, body.comment, until, seen)
             run = queries.current_run(connection, standing.rig)
-            if run is not None and worker_lives(run, time.time_ns()):
+            if run is not None and worker_lives(run, time.time_ns()) and not orphan:
                 return actions.ask(connection, standing.rig, action)
             service = standing.rig == SERVICE
             rules, now = queries.alarm_rules(run), time.time_ns() if service or run is None else run["last"] or 0
@@ -128,9 +128,16 @@ async def _act(
     def look(asked: str) -> bool:
         with store.read() as connection:
             status, reason = actions.outcome(connection, asked)
+        if status == actions.STALE and of_an_earlier_run():
+            begin(orphan=True)  # the monitor that lives now began afresh, and will never know it
+            return True
         if status in {actions.STALE, actions.NOT_ALLOWED}:
             raise _refused(Conflict("stale" if status == actions.STALE else "not_allowed", reason))
         return status == actions.DONE
+
+    def of_an_earlier_run() -> bool:
+        with store.read() as connection:
+            return queries.alarm_is_of_an_earlier_run(connection, identifier)
 
     def standing() -> Json:
         with store.read() as connection:

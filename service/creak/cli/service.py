@@ -41,6 +41,7 @@ from creak.sinks.catalogue import CataloguedRecorder
 from creak.sinks.protocol import Sink
 from creak.sinks.recorder import Recorder
 from creak.sinks.store import Store, StoreSink, open_store, saved_state
+from creak.sinks.upkeep import Upkeep
 from creak.sources.protocol import Source
 from creak.sources.recording import Recording
 from creak.sources.simulated import SimulatedRig
@@ -251,6 +252,7 @@ def _run(
         schedule=Schedule(disable_after=hooks.disable_after_hours * 3600),
     )
     deliverer = Deliverer(store, AddressPolicy(hooks.allow), rules)
+    upkeep = Upkeep(store, limits.budget_bytes)
     app = create_app(
         store,
         rigs_expected=[source.run.rig.name for source in sources],
@@ -258,6 +260,7 @@ def _run(
     )
     try:
         deliverer.start()
+        upkeep.start()
         for worker in workers:
             worker.start()
         host, port, *_ = listener.getsockname()
@@ -271,6 +274,7 @@ def _run(
         for worker in workers:
             worker.stop(max(0.1, deadline - time.monotonic()))
         deliverer.stop(max(0.5, deadline - time.monotonic()))
+        upkeep.stop()
         store.close()
     for worker, recorder in zip(workers, recorders, strict=True):
         if worker.end is not None and recorder.paths:

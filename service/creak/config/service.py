@@ -58,6 +58,7 @@ class RecordingTable(Strict):
 
     max_bytes: Count = 2_000_000_000
     max_seconds: Positive = 86_400.0
+    budget_bytes: Count | None = None
 
 
 class SimulatedSource(Strict):

@@ -226,6 +226,14 @@ def alarm_change(connection: sa.Connection, identifier: str) -> AlarmChange | No
     return None if row is None else change_of(row)
 
 
+def alarm_is_of_an_earlier_run(connection: sa.Connection, identifier: str) -> bool:
+    """Tell whether an alarm was raised in a run that is not its rig's current one."""
+    alarms = tables.alarms
+    query = sa.select(tables.rigs.c.run, alarms.c.run).join(alarms, alarms.c.rig == tables.rigs.c.name)
+    row = connection.execute(query.where(alarms.c.id == identifier)).first()
+    return row is not None and row[0] != row[1]
+
+
 def alarm_rules(run: Row | None) -> AlarmRules:
     """Return the rules by which the alarms of a run live; the usual ones if they are not known."""
     return AlarmRules(**((run["rules"] if run is not None else None) or {}))
