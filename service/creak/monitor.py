@@ -4,17 +4,59 @@ The caller owns the loop: it hands over what a source yields and gets back what 
 """
 
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
-from creak import alarms
+from creak import alarms, baseline
+from creak.alarm_records import Action, ActionKind, Clock, Conflict, Verdict
+from creak.alarms import quality
+from creak.baseline import Baseline
 from creak.judgement import Block, judged
 from creak.quality import Watch
 from creak.realisations import Collector, Realisation
-from creak.records import AlarmChange, AlarmState, Counts, Estimate, Fault, Frame, FrameStatus, Run, Scope
+from creak.records import (
+    AlarmChange,
+    AlarmState,
+    Counts,
+    Estimate,
+    Fault,
+    FaultKind,
+    Frame,
+    FrameStatus,
+    NodeLevel,
+    Run,
+    Scope,
+)
 
 Outcome = Frame | Fault | Estimate | AlarmChange
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What a monitor has to know after a restart.
+
+    Parameters
+    ----------
+    run : str
+        Id of the run that it comes from.
+    time : int
+        Recorded time up to which it reaches, ns since the Unix epoch.
+    nodes : tuple of NodeAlarm
+        In the order of the rig.
+    quality : Quality
+    baselines : tuple of Baseline
+    blocks : tuple of Block
+        Of the realisations in the window, oldest first.
+    """
+
+    run: str
+    time: int
+    nodes: tuple[alarms.NodeAlarm, ...]
+    quality: quality.Quality
+    baselines: tuple[Baseline, ...]
+    blocks: tuple[Block, ...]
 
 
 class Monitor:
@@ -24,18 +66,49 @@ class Monitor:
     ----------
     run : Run
         Fixes the rig, the window of R realisations and the limits.
+    memory : Memory or None
+        What an earlier monitor of the same rig knew; None to begin afresh. What does not fit the rig any more
+        (alarms of a node that is gone, sums of other lines) is left behind.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, memory: Memory | None = None) -> None:
         self.run = run
         self._collector = Collector(run)
         self._watch = Watch(run)
         self._blocks: deque[Block] = deque(maxlen=run.window)
         self._whole: Block | None = None
-        self._alarms = {node.name: alarms.NodeAlarm() for node in run.rig.nodes}
+        rig = run.rig
+        self._alarms = {node.name: alarms.NodeAlarm(alarms.Alarm(rig.name, node.name)) for node in rig.nodes}
+        self._quality = quality.Quality()
+        self._baselines: tuple[Baseline, ...] = ()
+        self._time = run.start
         self._faults: Counter[str] = Counter()
         self._transient = 0
         self._steady = 0  # good and bad alike
+        if memory is not None:
+            self._remember(memory)
+
+    @property
+    def time(self) -> int:
+        """Recorded time that it has come to, ns since the Unix epoch."""
+        return self._time
+
+    @property
+    def memory(self) -> Memory:
+        """All that a monitor after this one has to know, the open realisation aside."""
+        return Memory(
+            run=self.run.id,
+            time=self._time,
+            nodes=tuple(self._alarms.values()),
+            quality=self._quality,
+            baselines=self._baselines,
+            blocks=tuple(self._blocks),
+        )
+
+    @property
+    def baselines(self) -> tuple[Baseline, ...]:
+        """What is known of every node and operating state."""
+        return self._baselines
 
     @property
     def counts(self) -> Counts:
@@ -56,17 +129,23 @@ class Monitor:
         """State of every node's alarm."""
         return {name: alarm.state for name, alarm in self._alarms.items()}
 
-    def take(self, item: Frame | Fault) -> list[Outcome]:
-        """Take a frame, or note what a source says was lost.
+    def take(self, item: Frame | Fault | Action | Clock) -> list[Outcome]:
+        """Take a frame, note what a source says was lost, do what an operator asked for, or let time go by.
 
         Returns
         -------
         list
-            The judged frame (or the fault) first, then what followed from it: faults, and at the completion of a
-            realisation the estimates of window and run and the alarm changes.
+            The judged frame (or the fault) first, then what followed from it: faults, alarm changes that fell due,
+            and at the completion of a realisation the estimates of window and run and the alarm changes.
         """
+        if isinstance(item, Clock):
+            return self._advance(item.time)
+        if isinstance(item, Action):
+            done = self.act(item)
+            return [] if isinstance(done, Conflict) else list(done)
         if isinstance(item, Fault):
-            return self._note(item, *self._collector.lose(item))
+            faults = self._collector.lose(item)
+            return [*self._note(item, *faults), *self._left_out(faults)]
         collected = self._collector.take(item)
         if collected.frame.status is FrameStatus.TRANSIENT:
             self._transient += 1
@@ -74,9 +153,44 @@ class Monitor:
             self._steady += 1
         self._watch.take(collected.frame)
         outcomes: list[Outcome] = [collected.frame, *self._note(*collected.faults)]
+        if not any(fault.kind in _TIMELESS for fault in collected.faults):
+            self._quality, changes = quality.frame(self._quality, self.run, collected.frame)
+            outcomes += [*changes, *self._advance(item.time + round(self.run.rig.period_ns))]
+        outcomes += self._left_out(collected.faults)
         if collected.realisation is not None:
             outcomes += self._complete(collected.realisation)
         return outcomes
+
+    def act(self, action: Action) -> tuple[AlarmChange, ...] | Conflict:
+        """Do what an operator asks for, at the recorded time that the monitor has come to.
+
+        Returns
+        -------
+        tuple of AlarmChange, or Conflict
+            Empty if it is so already. A conflict changes nothing.
+        """
+        rules, run = self.run.alarms, self.run.id
+        for name, node in self._alarms.items():
+            if node.alarm.id == action.alarm:
+                done = alarms.act(node.alarm, action, self._time, rules, run)
+                if isinstance(done, Conflict):
+                    return done
+                self._alarms[name] = replace(node, alarm=done[0])
+                if action.kind is ActionKind.RELEARN:
+                    self._baselines = tuple(
+                        baseline.relearn(known) if known.node == name else known for known in self._baselines
+                    )
+                return done[1]
+        for key, alarm in self._quality.alarms.items():
+            if alarm.id == action.alarm:
+                if action.kind is ActionKind.RELEARN:
+                    return Conflict("not_allowed", "an alarm about data has no baseline")
+                done = alarms.act(alarm, action, self._time, rules, run)
+                if isinstance(done, Conflict):
+                    return done
+                self._quality = replace(self._quality, alarms={**self._quality.alarms, key: done[0]})
+                return done[1]
+        return Conflict("stale", "the rig has no such alarm now: the occurrence has ended")
 
     def finish(self) -> list[Outcome]:
         """Close the run: names a realisation that was left incomplete."""
@@ -87,6 +201,34 @@ class Monitor:
             self._faults[fault.kind.value] += 1
         return list(faults)
 
+    def _advance(self, time: int) -> list[Outcome]:
+        """Let happen what falls due until a recorded time."""
+        self._time = max(self._time, time)
+        rules, run = self.run.alarms, self.run.id
+        self._quality, overdue = quality.clock(self._quality, self.run, time)
+        changes = list(overdue)
+        for name, node in self._alarms.items():
+            alarm, due = alarms.advance(node.alarm, time, rules, run)
+            if alarm is not node.alarm:
+                self._alarms[name] = replace(node, alarm=alarm)
+                changes += due
+        for key, old in self._quality.alarms.items():
+            alarm, due = alarms.advance(old, time, rules, run)
+            if alarm is not old:
+                self._quality = replace(self._quality, alarms={**self._quality.alarms, key: alarm})
+                changes += due
+        return [*sorted(changes, key=lambda change: change.time)]
+
+    def _left_out(self, faults: Iterable[Fault]) -> list[Outcome]:
+        """Tell the quality alarms of realisations that are over without being complete."""
+        outcomes: list[Outcome] = []
+        for fault in faults:
+            if fault.kind in quality.SPOILING:
+                time = max(fault.time, self.run.start)
+                self._quality, changes = quality.closed(self._quality, self.run, time, len(self._blocks), None)
+                outcomes += changes
+        return outcomes
+
     def _complete(self, realisation: Realisation) -> list[Outcome]:
         rig = self.run.rig
         flaws = self._note(*self._watch.judge(realisation))
@@ -95,10 +237,60 @@ class Monitor:
         self._whole = block if self._whole is None else self._whole + block
         window = judged(rig, reduce(add, self._blocks), Scope.WINDOW, realisation)
         whole = judged(rig, self._whole, Scope.RUN, realisation)
-        outcomes: list[Outcome] = [*flaws, window, whole]
+        self._time = max(self._time, realisation.end)
+        self._quality, changes = quality.closed(
+            self._quality, self.run, realisation.end, len(self._blocks), realisation.spectra
+        )
+        outcomes: list[Outcome] = [*flaws, window, whole, *changes]
+        rms = self._operating_state()
         for level in window.nodes:
+            verdicts = {} if rms is None else self._compare(level, rms, realisation)
             self._alarms[level.name], changes = alarms.step(
-                self.run, self._alarms[level.name], level, realisation.end
+                self.run, self._alarms[level.name], level, realisation.end, verdicts
             )
             outcomes += changes
         return outcomes
+
+    def _operating_state(self) -> float | None:
+        """RMS of the excitation if baselines are wanted and the window is full and of one state."""
+        rules = self.run.baseline
+        if not rules.realisations or len(self._blocks) < self.run.window:
+            return None
+        each = [baseline.input_rms(block.sums) for block in self._blocks]
+        if not baseline.same_state(min(each), max(each), rules.state_tolerance_db):
+            return None
+        return sum(each) / len(each)
+
+    def _compare(self, level: NodeLevel, rms: float, realisation: Realisation) -> dict[str, Verdict]:
+        """Compare a node with its baseline for the operating state, and learn."""
+        rules = self.run.baseline
+        known = baseline.find(self._baselines, level.name, rms, rules.state_tolerance_db)
+        before = known or baseline.begin(level, rms)
+        if before is None:
+            return {}
+        node = self._alarms[level.name]
+        after, verdicts = baseline.step(self.run, before, level, realisation.index, realisation.end, node.healthy)
+        self._baselines = (*(b for b in self._baselines if b is not known), after)
+        return verdicts
+
+    def _remember(self, memory: Memory) -> None:
+        run = self.run
+        for node in memory.nodes:
+            if node.alarm.node in self._alarms and node.alarm.rig == run.rig.name:
+                self._alarms[node.alarm.node] = node
+        known = {"", *self._alarms}
+        kept = {key: alarm for key, alarm in memory.quality.alarms.items() if key[1] in known}
+        # deadlines count from the new run's first frame: that nobody watched meanwhile is no fault of the rig
+        self._quality = replace(memory.quality, alarms=kept, heard=None, completed=None, clipped=frozenset())
+        first = run.window if memory.run != run.id else 0
+        self._baselines = tuple(
+            replace(b, next_realisation=max(first, 0 if memory.run != run.id else b.next_realisation))
+            for b in memory.baselines
+            if b.node in self._alarms
+        )
+        rig, width = self.run.rig, self.run.rig.q + self.run.rig.n
+        shape = (self.run.steady_periods, len(rig.lines), width), (len(rig.lines), rig.n, rig.q)
+        self._blocks.extend(b for b in memory.blocks if (b.sums.period_sums.shape, b.sums.S.shape) == shape)
+
+
+_TIMELESS = {FaultKind.OUT_OF_PLAN}  # such a frame is none of the run's, so its time says nothing

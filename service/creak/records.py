@@ -26,6 +26,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from creak.alarm_records import AlarmChange as AlarmChange  # noqa: PLC0414 - handed on, with the two below
+from creak.alarm_records import AlarmRules, BaselineRules
+from creak.alarm_records import AlarmState as AlarmState  # noqa: PLC0414
+from creak.alarm_records import Limits as Limits  # noqa: PLC0414
 from creak.findings import DetectionLevel
 
 Real = NDArray[np.float64]
@@ -137,32 +141,6 @@ class Excitation:
 
 
 @dataclass(frozen=True)
-class Limits:
-    """When a node alarms: clearance and significance together, K of the last N windows.
-
-    Parameters
-    ----------
-    total_to_noise_db : float
-        A window exceeds if its networked total-to-noise ratio lies above this, dB. At 3 dB the nonlinear
-        distortion is as strong as the noise.
-    p_value : float
-        ... and its pooled p-value lies below this.
-    dead_band_db : float
-        An alarm clears when the ratio has fallen this far below the limit, dB.
-    windows : int
-        N, windows looked back on.
-    exceeding : int
-        K, windows among them that must exceed to raise, or must lie below the dead band to clear.
-    """
-
-    total_to_noise_db: float = 3.0
-    p_value: float = 1e-3
-    dead_band_db: float = 1.0
-    windows: int = 3
-    exceeding: int = 2
-
-
-@dataclass(frozen=True)
 class Run:
     """Opens a run: all that is known before the first frame.
 
@@ -183,6 +161,8 @@ class Run:
     limits : Limits
     software : str
         Version of creak.
+    alarms : AlarmRules
+    baseline : BaselineRules
     """
 
     id: str
@@ -194,6 +174,8 @@ class Run:
     window: int = 4
     limits: Limits = field(default_factory=Limits)
     software: str = ""
+    alarms: AlarmRules = field(default_factory=AlarmRules)
+    baseline: BaselineRules = field(default_factory=BaselineRules)
 
     @property
     def periods(self) -> int:
@@ -407,58 +389,6 @@ class Estimate:
     unavailable: tuple[str, ...] = ()
     detection: tuple[DetectionLevel, ...] = ()
     remarks: tuple[str, ...] = ()
-
-
-class AlarmState(StrEnum):
-    """State names of ISA-18.2."""
-
-    NORMAL = "normal"
-    UNACKNOWLEDGED = "unacknowledged"
-    ACKNOWLEDGED = "acknowledged"
-    RETURNED_UNACKNOWLEDGED = "returned_unacknowledged"
-    SHELVED = "shelved"
-    SUPPRESSED = "suppressed"
-    OUT_OF_SERVICE = "out_of_service"
-
-
-@dataclass(frozen=True)
-class AlarmChange:
-    """One change of one alarm occurrence; the newest change of an id is the alarm as it stands.
-
-    Parameters
-    ----------
-    id : str
-        Of the occurrence: constant over its changes, and the same in a replay.
-    rig, node : str
-    class_ : str
-        ``process`` or ``quality``.
-    severity : str
-        ``warning`` or ``alarm``.
-    event : str
-        ``raised``, ``cleared`` and so on.
-    state : AlarmState
-    active, acknowledged, shelved : bool
-    since : int
-        Recorded time at which the occurrence was raised, ns since the Unix epoch.
-    time : int
-        Recorded time of this change.
-    level_db : float
-        The node's networked total-to-noise ratio in the window that caused the change, dB.
-    """
-
-    id: str
-    rig: str
-    node: str
-    class_: Literal["process", "quality"]
-    severity: Literal["warning", "alarm"]
-    event: str
-    state: AlarmState
-    active: bool
-    acknowledged: bool
-    shelved: bool
-    since: int
-    time: int
-    level_db: float
 
 
 class RunStatus(StrEnum):

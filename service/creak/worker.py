@@ -9,19 +9,24 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+from creak.alarm_records import Action, Clock, Conflict
+from creak.codec import memory_bytes
 from creak.errors import CreakError, StorageError
-from creak.monitor import Monitor, Outcome
-from creak.records import Counts, Fault, FaultKind, Frame, RunEnd, RunStatus
-from creak.sinks.protocol import Sink
-from creak.sources.protocol import Source
+from creak.monitor import Memory, Monitor, Outcome
+from creak.records import AlarmChange, Counts, Estimate, Fault, FaultKind, Frame, FrameStatus, RunEnd, RunStatus
+from creak.sinks.protocol import Desk, Sink
+from creak.sources.protocol import Replayable, Source
 
 _log = logging.getLogger(__name__)
 
 _QUEUE_FRAMES = 16
 _TICK_SECONDS = 0.2
+
+
+Item = Frame | Fault | Action | Clock
 
 
 @dataclass(frozen=True)
@@ -34,10 +39,19 @@ class _Finished:
 class _Path:
     """Monitor and sinks of one run: everything between a source's items and the closed run."""
 
-    def __init__(self, source: Source, sinks: Sequence[Sink]) -> None:
-        self.monitor = Monitor(source.run)
+    def __init__(
+        self,
+        source: Source,
+        sinks: Sequence[Sink],
+        desk: Desk | None = None,
+        memory: Memory | None = None,
+    ) -> None:
+        self.monitor = Monitor(source.run, memory)
+        self._desk = desk
         self._sinks: list[Sink] = []
         self.time = source.run.start  # recorded time up to which data have come
+        self._live = source.live
+        self._heard: tuple[int, float] | None = None  # end of the last good frame, and when it came
         self._failing: list[Sink] = []
         self._failure: StorageError | None = None
         for sink in sinks:
@@ -48,11 +62,39 @@ class _Path:
                 raise
             self._sinks.append(sink)
 
-    def take(self, item: Frame | Fault) -> None:
+    def take(self, item: Item) -> None:
         """Pass an item through the monitor and hand what follows to the sinks."""
+        outcomes = self.monitor.take(item)
         if isinstance(item, Frame):
-            self.time = max(self.time, item.time + round(self.monitor.run.rig.period_ns))
-        self._hand_over(self.monitor.take(item))
+            end = item.time + round(self.monitor.run.rig.period_ns)
+            self.time = max(self.time, end)
+            if isinstance(outcomes[0], Frame) and outcomes[0].status is not FrameStatus.REJECTED:
+                self._heard = end, time.monotonic()
+        elif isinstance(item, Clock):
+            self.time = max(self.time, item.time)
+        self._hand_over(outcomes)
+        if self._desk is not None and any(isinstance(outcome, Estimate | AlarmChange) for outcome in outcomes):
+            self._save(self._desk)
+
+    def serve_operators(self) -> None:
+        """Carry out what operators have asked for; the answer follows the changes, and the state that has them."""
+        if self._desk is None:
+            return
+        for asked in self._desk.asked():
+            done = self.monitor.act(asked.action)
+            if not isinstance(done, Conflict):
+                self._hand_over(() if asked.told else done)
+                self._save(self._desk)
+            self._desk.answer(asked, done if isinstance(done, Conflict) else None)
+
+    def pass_time(self, now: float) -> None:
+        """Let recorded time go on where a rig is silent: what is overdue is then known before its next frame.
+
+        A source that may be held back has no silence: its time goes on with its frames.
+        """
+        if self._live and self._heard is not None:
+            end, came = self._heard
+            self.take(Clock(end + round((now - came) * 1e9)))
 
     def tick(self, now: float) -> None:
         """Give every sink its turn for timers."""
@@ -87,6 +129,13 @@ class _Path:
                     if sink in self._failing and not isinstance(outcome, Frame):
                         self._failing.remove(sink)
 
+    def _save(self, desk: Desk) -> None:
+        memory = self.monitor.memory
+        try:
+            desk.save(memory.time, lambda: memory_bytes(memory))
+        except StorageError as error:
+            _log.warning("%s: what a restart needs was not saved: %s", self.monitor.run.rig.name, error)
+
     def _note_failure(self, sink: Sink, error: OSError) -> None:
         """A place that cannot take more must not end the monitoring: say so once, everywhere else, and go on."""
         if sink in self._failing:
@@ -105,6 +154,11 @@ class _Path:
                 self._failure = error if isinstance(error, StorageError) else StorageError(str(error))
                 _log.error("%s: %s", self.monitor.run.rig.name, error)
         self._sinks = []
+
+
+def _items(source: Source) -> Iterator[Item]:
+    """All that a source yields; of a recording also what operators did and what fell due."""
+    return source.replayed() if isinstance(source, Replayable) else source.frames()
 
 
 def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
@@ -130,7 +184,7 @@ def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
     """
     path = _Path(source, sinks)
     try:
-        for item in source.frames():
+        for item in _items(source):
             path.take(item)
             if path.failure is not None:
                 raise path.failure
@@ -156,12 +210,25 @@ class Worker:
     source : Source
     sinks : sequence of Sink
         Opened by :meth:`start`, then fed and closed by the worker's thread alone.
+    desk : Desk or None
+        Where operators ask, and where what a restart needs is kept.
+    memory : Memory or None
+        What an earlier monitor of the rig knew.
     """
 
-    def __init__(self, source: Source, sinks: Sequence[Sink]) -> None:
+    def __init__(
+        self,
+        source: Source,
+        sinks: Sequence[Sink],
+        *,
+        desk: Desk | None = None,
+        memory: Memory | None = None,
+    ) -> None:
         self._source = source
         self._sinks = sinks
-        self._queue: queue.Queue[Frame | Fault | _Finished] = queue.Queue(_QUEUE_FRAMES)
+        self._desk = desk
+        self._memory = memory
+        self._queue: queue.Queue[Item | _Finished] = queue.Queue(_QUEUE_FRAMES)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name=f"rig {source.run.rig.name}")
         self._reader = threading.Thread(target=self._read, name=f"source {source.run.rig.name}", daemon=True)
@@ -178,7 +245,7 @@ class Worker:
         CreakError
             If a sink cannot be opened; the run has then not begun.
         """
-        self._path = _Path(self._source, self._sinks)
+        self._path = _Path(self._source, self._sinks, self._desk, self._memory)
         self._thread.start()
         self._reader.start()
 
@@ -204,7 +271,7 @@ class Worker:
         """Carry items from the source to the queue; runs in the reader's thread."""
         error: Exception | None = None
         try:
-            for item in self._source.frames():
+            for item in _items(self._source):
                 if not self._offer(item):
                     break
         except Exception as found:  # noqa: BLE001 - whatever it is, the run has to end with it and say so
@@ -216,7 +283,7 @@ class Worker:
             except queue.Full:
                 continue
 
-    def _offer(self, item: Frame | Fault) -> bool:
+    def _offer(self, item: Item) -> bool:
         """Queue an item; a source that cannot wait loses it when the queue is full, counted and named."""
         while not self._stop.is_set():
             try:
@@ -233,9 +300,11 @@ class Worker:
         status, message = RunStatus.INTERRUPTED, "stopped"
         try:
             while not self._stop.is_set():
+                path.serve_operators()
                 try:
                     item = self._queue.get(timeout=_TICK_SECONDS)
                 except queue.Empty:
+                    path.pass_time(time.monotonic())
                     path.tick(time.monotonic())
                     continue
                 self._name_dropped(path)

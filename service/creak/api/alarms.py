@@ -2,9 +2,10 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 
 from creak.api.describe import AlarmId, OfNode, OfRig, StoreOf, TimeText, refusals, time_of
+from creak.api.etags import IF_NONE_MATCH, etag, matches
 from creak.api.models import AlarmDetail, AlarmPage, RecordingPage
 from creak.api.paging import CursorText, Limit, read_cursor, write_cursor
 from creak.api.problems import unknown_alarm
@@ -39,13 +40,23 @@ def list_alarms(
     return {"items": page.items, "next": write_cursor(page.end, of)}
 
 
-@router.get("/alarms/{alarm}", response_model=AlarmDetail, responses=refusals(404, 422), tags=["alarms"])
-def get_alarm(store: StoreOf, alarm: AlarmId) -> Json:
-    """Return one alarm, with every change it went through."""
+@router.get(
+    "/alarms/{alarm}",
+    response_model=AlarmDetail,
+    responses={304: {"description": "It is as the client has it."}, **refusals(404, 422)},
+    tags=["alarms"],
+)
+def get_alarm(store: StoreOf, alarm: AlarmId, response: Response, if_none_match: IF_NONE_MATCH = None) -> Any:
+    """Return one alarm, with every change it went through; its `ETag` is that of its newest change."""
     with store.read() as connection:
         found = queries.alarm(connection, alarm)
-    if found is None:
+        change = queries.alarm_change(connection, alarm)
+    if found is None or change is None:
         raise unknown_alarm(alarm)
+    tag = {"ETag": etag(change)}
+    if if_none_match is not None and matches(if_none_match, change, "if-none-match"):
+        return Response(status_code=304, headers=tag)
+    response.headers.update(tag)
     return found
 
 

@@ -1,6 +1,6 @@
 """The application: all routes over one store."""
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -8,10 +8,11 @@ from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from creak import __version__
-from creak.api import alarms, events, health, metrics, models, page, problems, rigs
+from creak.api import alarms, events, health, metrics, operate, page, problems, rigs, webhooks
+from creak.api.access import Access, Gate
 from creak.api.events import EventFeed, watched
 from creak.api.guard import Guard
-from creak.api.models import Problem
+from creak.api.models import Answer, Problem
 from creak.sinks.database import Store, open_store
 
 _DESCRIPTION = """
@@ -22,7 +23,8 @@ else is said, *recorded* time: that of the samples. Live figures are those of th
 (`scope=window`, the default); `scope=run` gives those of the whole run.
 
 Lists are `{"items": [...], "next": cursor or null}`: ask again with `cursor=` for the page that follows. Every
-error is a problem of RFC 9457, `application/problem+json`.
+error is a problem of RFC 9457, `application/problem+json`. Beyond loopback every request needs a key,
+`Authorization: Bearer creak_...`, made with `creak key add`.
 """
 
 
@@ -45,7 +47,7 @@ class Service(FastAPI):
         return self.openapi_schema
 
 
-def create_app(store: Store | str, *, rigs_expected: Sequence[str] = ()) -> FastAPI:
+def create_app(store: Store | str, *, rigs_expected: Sequence[str] = (), access: Access | None = None) -> FastAPI:
     """Make the application.
 
     Parameters
@@ -54,6 +56,8 @@ def create_app(store: Store | str, *, rigs_expected: Sequence[str] = ()) -> Fast
         The store, or its URL; a store that is opened here is closed when the application ends.
     rigs_expected : sequence of str
         Rigs without which the service is not ready; by default those whose runs go on.
+    access : Access
+        Keys, limits, and where receivers of webhooks may live; by default as it is safe on loopback.
 
     Raises
     ------
@@ -85,10 +89,12 @@ def create_app(store: Store | str, *, rigs_expected: Sequence[str] = ()) -> Fast
     app.state.store = opened
     app.state.feed = feed
     app.state.rigs = tuple(rigs_expected)
+    app.state.access = access or Access()
     problems.install(app)
+    app.add_middleware(Gate, store=opened, access=app.state.access)
     app.add_middleware(Guard)
     api = APIRouter(prefix="/api/v1")
-    for part in (rigs, alarms, events):
+    for part in (rigs, alarms, operate, webhooks, events):
         api.include_router(part.router)
     app.include_router(api)
     for outside in (health, metrics, page):
@@ -97,10 +103,18 @@ def create_app(store: Store | str, *, rigs_expected: Sequence[str] = ()) -> Fast
 
 
 def _add_examples(document: dict[str, Any]) -> None:
-    """Give every JSON answer the example of its body; put in earlier, it would lose the keys that are null."""
+    """Give every JSON body the example of its model; put in earlier, it would lose the keys that are null."""
+    bodies = {model.__name__: model for model in _models(Answer)}
     for path in document["paths"].values():
         for operation in path.values():
-            content = operation["responses"]["200"]["content"].get("application/json")
-            if content is not None:
-                body: type[models.Answer] = getattr(models, content["schema"]["$ref"].rsplit("/", 1)[1])
-                content["example"] = body.example
+            told = [answer for status, answer in operation["responses"].items() if status.startswith("2")]
+            for part in (*told, operation.get("requestBody", {})):
+                content = part.get("content", {}).get("application/json")
+                if content is not None:
+                    content["example"] = bodies[content["schema"]["$ref"].rsplit("/", 1)[1]].example
+
+
+def _models(root: type[Answer]) -> Iterator[type[Answer]]:
+    for model in root.__subclasses__():
+        yield model
+        yield from _models(model)

@@ -15,11 +15,22 @@ from creak.sinks.database import Store
 
 _MEANINGS = {
     400: "The path cannot be read.",
+    401: "A key is needed, or the one given is none.",
+    403: "The key's scope is too small, or a page of another site asks.",
     404: "There is no such thing.",
+    408: "The body did not come in time.",
+    409: "What is asked for does not fit what is there.",
+    412: "It has changed since the client saw it.",
+    413: "The body is too long.",
+    421: "Without keys the API is called by an address or localhost.",
     422: "A parameter holds what it must not hold.",
+    429: "Too many requests.",
     500: "The service failed.",
     503: "The store cannot be read at present.",
 }
+
+
+_ALWAYS = (400, 401, 403, 408, 413, 421, 429, 500, 503)
 
 
 def refusals(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -31,7 +42,7 @@ def refusals(*statuses: int) -> dict[int | str, dict[str, Any]]:
                 MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}, "example": Problem.example}
             },
         }
-        for status in sorted({400, *statuses, 500, 503})
+        for status in sorted({*_ALWAYS, *statuses})
     }
 
 

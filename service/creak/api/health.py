@@ -59,6 +59,11 @@ def readyz(request: Request, store: StoreOf) -> dict[str, Any]:
     return {"status": "ready", "rigs": list(watched)}
 
 
+def worker_lives(run: queries.Row, now: int) -> bool:
+    """Tell whether a worker measures a run at a wall-clock time in ns, as far as the store knows."""
+    return bool(run["status"] == RUNNING and now - run["beat_at"] <= _WORKER_SILENT * 1e9)
+
+
 def _complaint(run: queries.Row | None, now: int) -> str:
     """Return what is wrong with a rig's run at a wall-clock time in ns; empty if nothing is."""
     if run is None:

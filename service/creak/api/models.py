@@ -159,6 +159,15 @@ class Alarm(Answer):
     level_db: Decibels = Field(description="Networked total-to-noise ratio of the change.")
     event: str = Field(description="What the change was.")
     time: str = Field(description="Recorded time of the change.")
+    version: int = Field(description="Counts the changes of the occurrence, from 1.")
+    condition: str = Field(description="What stands, joined by `+`.")
+    by: str = Field(description="Who changed it; empty where no person did.")
+    comment: str = Field(description="Why.")
+    shelved_until: str | None = Field(description="Recorded time at which the shelving ends.")
+    suppressed: bool
+    out_of_service: bool
+    latched: bool = Field(description="What has gone is kept until it is acknowledged.")
+    guidance: str = Field(description="What to do about it.")
 
 
 class AlarmDetail(Alarm):
@@ -317,6 +326,15 @@ _ALARM = {
     "level_db": 11.2,
     "event": "raised",
     "time": "2026-05-01T08:12:00.000000Z",
+    "version": 1,
+    "condition": "level",
+    "by": "",
+    "comment": "",
+    "shelved_until": None,
+    "suppressed": False,
+    "out_of_service": False,
+    "latched": False,
+    "guidance": "Inspect the node for looseness, rubbing, cracks and worn bearings.",
 }
 _ABOUT = {"rig": "beam", "scope": "window", "time": "2026-05-01T08:14:24.000000Z"}
 
@@ -365,6 +383,7 @@ Spectrum.example = {
     "significant": [True, False],
     "bands": [{"from_hz": 0.25, "to_hz": 0.5, "lines": 2, "p_value": 1e-5, "classical_p_value": 1e-11}],
 }
+Alarm.example = _ALARM
 AlarmPage.example = {"items": [_ALARM], "next": None}
 AlarmDetail.example = {**_ALARM, "changes": [_ALARM]}
 RecordingPage.example = {

@@ -98,8 +98,9 @@ class LiveLevels:
             case Estimate(scope=Scope.WINDOW):
                 self._window = record
             case AlarmChange():
-                self._states[record.node] = record.state
-                self._news.append(f"node {record.node}: {record.event} at {record.level_db:.1f} dB")
+                if record.class_ == "process":
+                    self._states[record.node] = record.state
+                self._news.append(_alarm_line(record))
             case Fault():
                 self._news.append(record.message)
 
@@ -186,3 +187,10 @@ def _probability(value: float | None) -> str:
     if value is None:
         return "–"
     return f"{value:.2g}" if value > 1e-99 else "< 1e-99"
+
+
+def _alarm_line(change: AlarmChange) -> str:
+    place = f"node {change.node}" if change.node else "rig"
+    if change.class_ == "quality":
+        return f"{place}: {change.condition.replace('_', ' ')} {change.event}"
+    return f"{place}: {change.event} at {change.level_db:.1f} dB"

@@ -1,6 +1,7 @@
 """Commands that run the service: serve and demo."""
 
 import contextlib
+import ipaddress
 import logging
 import signal
 import socket
@@ -17,8 +18,10 @@ from typing import Annotated
 import typer
 
 from creak.api import Server, create_app, listen_on
+from creak.api.access import Access
 from creak.cli.display import LiveLevels
 from creak.cli.recordings import replay_line
+from creak.codec import memory_of
 from creak.config.model import load_model
 from creak.config.rig import load_rig
 from creak.config.service import (
@@ -29,15 +32,22 @@ from creak.config.service import (
     load_service,
     parse_service,
 )
-from creak.errors import ConfigurationError, RecordingError, ServiceError, StorageError
+from creak.errors import ConfigurationError, InputError, RecordingError, ServiceError, StorageError
+from creak.monitor import Memory
 from creak.records import Estimate, Rig, Run, RunEnd
+from creak.sinks import keys
+from creak.sinks.background import BackgroundStore
 from creak.sinks.catalogue import CataloguedRecorder
 from creak.sinks.protocol import Sink
 from creak.sinks.recorder import Recorder
-from creak.sinks.store import StoreSink, open_store
+from creak.sinks.store import Store, StoreSink, open_store, saved_state
+from creak.sinks.upkeep import Upkeep
 from creak.sources.protocol import Source
 from creak.sources.recording import Recording
 from creak.sources.simulated import SimulatedRig
+from creak.webhooks.addresses import AddressPolicy
+from creak.webhooks.delivery import Deliverer, DeliveryRules
+from creak.webhooks.schedule import Schedule
 from creak.worker import Worker
 
 _log = logging.getLogger(__name__)
@@ -156,7 +166,13 @@ def _empty_store(settings: ServiceSettings) -> None:
 
 
 def _source(table: RigTable, rig: Rig) -> Source:
-    """The source of one rig of the service file."""
+    """The source of one rig of the service file, its run with the rules of that file."""
+    source = _opened(table, rig)
+    source.run = replace(source.run, alarms=table.alarms.rules(), baseline=table.baseline.rules(table.window))
+    return source
+
+
+def _opened(table: RigTable, rig: Rig) -> Source:
     if isinstance(table.source, SimulatedSource):
         return _simulated(table, rig)
     if isinstance(table.source, RecordingSource):
@@ -219,12 +235,32 @@ def _run(
     recorders = [
         Recorder(settings.data, max_bytes=limits.max_bytes, max_seconds=limits.max_seconds) for _ in sources
     ]
+    desks = [BackgroundStore(store, StoreSink(store)) for _ in sources]
     workers = [
-        Worker(source, [StoreSink(store), CataloguedRecorder(recorder, store), *more])
-        for source, recorder, more in zip(sources, recorders, displays, strict=True)
+        Worker(
+            source,
+            [desk, CataloguedRecorder(recorder, store), *more],
+            desk=desk,
+            memory=_memory(store, source.run),
+        )
+        for source, desk, recorder, more in zip(sources, desks, recorders, displays, strict=True)
     ]
-    app = create_app(store, rigs_expected=[source.run.rig.name for source in sources])
+    hooks = settings.webhooks
+    rules = DeliveryRules(
+        timeout=hooks.timeout_seconds,
+        per_minute=hooks.per_minute,
+        schedule=Schedule(disable_after=hooks.disable_after_hours * 3600),
+    )
+    deliverer = Deliverer(store, AddressPolicy(hooks.allow), rules)
+    upkeep = Upkeep(store, limits.budget_bytes)
+    app = create_app(
+        store,
+        rigs_expected=[source.run.rig.name for source in sources],
+        access=_access(settings, listener, store),
+    )
     try:
+        deliverer.start()
+        upkeep.start()
         for worker in workers:
             worker.start()
         host, port, *_ = listener.getsockname()
@@ -237,6 +273,8 @@ def _run(
             source.close()
         for worker in workers:
             worker.stop(max(0.1, deadline - time.monotonic()))
+        deliverer.stop(max(0.5, deadline - time.monotonic()))
+        upkeep.stop()
         store.close()
     for worker, recorder in zip(workers, recorders, strict=True):
         if worker.end is not None and recorder.paths:
@@ -247,6 +285,32 @@ def _run(
     if errors:
         raise ServiceError(str(errors[0])) from errors[0]
     return 0
+
+
+def _memory(store: Store, run: Run) -> Memory | None:
+    """What the rig's monitor knew when it was last heard of; a run of the past begins with nothing."""
+    if run.source == "recording":
+        return None
+    saved = saved_state(store, run.rig.name)
+    if saved is None:
+        return None
+    try:
+        memory = memory_of(saved)
+    except InputError as error:
+        _log.warning("%s: the monitor begins afresh: %s", run.rig.name, error)
+        return None
+    return memory if memory.time <= run.start else None
+
+
+def _access(settings: ServiceSettings, listener: socket.socket, store: Store) -> Access:
+    """Beyond loopback requests need a key."""
+    host = str(listener.getsockname()[0])
+    needed = not ipaddress.ip_address(host.partition("%")[0]).is_loopback
+    if needed:
+        with store.read() as connection:
+            if not keys.everyone(connection):
+                _log.warning("%s is beyond loopback and there are no keys yet: make one with creak key add", host)
+    return Access(keys=needed, allow=settings.webhooks.allow, per_second=settings.server.requests_per_second)
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:

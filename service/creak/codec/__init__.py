@@ -10,6 +10,7 @@ from creak.codec.json_face import (
     summary_json,
     time_json,
 )
+from creak.codec.memory import memory_bytes, memory_of
 from creak.codec.protobuf import (
     Closing,
     Opening,
@@ -54,6 +55,8 @@ __all__ = [
     "fault_json",
     "full_name",
     "level_topic",
+    "memory_bytes",
+    "memory_of",
     "node_json",
     "opening_of",
     "opening_text",

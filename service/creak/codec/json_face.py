@@ -137,6 +137,15 @@ def alarm_json(change: AlarmChange) -> dict[str, Any]:
         "level_db": _number(change.level_db),
         "event": change.event,
         "time": time_json(change.time),
+        "version": change.version,
+        "condition": change.condition,
+        "by": change.by,
+        "comment": change.comment,
+        "shelved_until": None if change.shelved_until is None else time_json(change.shelved_until),
+        "suppressed": change.suppressed,
+        "out_of_service": change.out_of_service,
+        "latched": change.latched,
+        "guidance": change.guidance,
     }
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 
+from creak.alarm_records import AlarmRules, BaselineRules
 from creak.codec.schemas import FORMAT, LAYOUT, MESSAGES
 from creak.errors import RecordingError
 from creak.findings import DetectionLevel
@@ -222,6 +223,8 @@ def _record(name: str, message: Any) -> Any:
     for key, kind in LAYOUT[name].items():
         attribute = _ATTRIBUTES.get(key, key)
         if attribute in attributes:
+            if (name, key) in _CAME_LATER and not message.HasField(key):
+                continue  # a recording of an older version: the record's default holds
             values[attribute] = _value(name, key, kind, message)
     return build(**values)
 
@@ -276,6 +279,8 @@ _CLASSES: dict[str, Any] = {
         Rig,
         Excitation,
         Limits,
+        AlarmRules,
+        BaselineRules,
         Run,
         Frame,
         Fault,
@@ -292,6 +297,7 @@ _CLASSES: dict[str, Any] = {
 _ATTRIBUTES = {"class": "class_"}  # the message's word is a keyword of Python
 _SCALARS: dict[str, Callable[[Any], Any]] = {"int64": int, "double": float, "bool": bool, "string": str}
 _MAY_LACK = {("Rig", "network")}
+_CAME_LATER = {("Run", "alarms"), ("Run", "baseline")}
 _TO_MESSAGE: dict[tuple[str, str], Callable[[Any], Any]] = {
     ("Rig", "network"): lambda edges: _Network(tuple(_Edge(edge) for edge in edges)),
     ("Counts", "faults"): lambda faults: tuple(_FaultCount(*item) for item in faults.items()),

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     EnvSettingsSource,
@@ -14,38 +14,36 @@ from pydantic_settings import (
     SettingsError,
 )
 
+from creak.config.alarms import AlarmsTable, BaselineTable, LimitsTable
+from creak.config.fields import Count, Positive, Strict
 from creak.config.validation import explain, parse_toml, read_text
 from creak.errors import ConfigurationError
-from creak.records import Limits
 
 PREFIX = "CREAK_"
 """Environment variables that override keys: ``CREAK_SERVER__PORT=8400`` sets ``server.port``."""
 
-Count = Annotated[int, Field(ge=1, strict=True)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ServerTable(_Strict):
+class ServerTable(Strict):
     """``[server]``: where the API listens."""
 
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8300
+    requests_per_second: Positive = 500.0
 
 
-class StoreTable(_Strict):
+class StoreTable(Strict):
     """``[store]``: where the state lies; empty means SQLite in the data directory."""
 
     url: str = ""
 
 
-class WebhooksTable(_Strict):
+class WebhooksTable(Strict):
     """``[webhooks]``: networks beyond the public ones where receivers may live."""
 
-    allow: list[str] = []
+    allow: list[str] = Field(default_factory=list)
+    timeout_seconds: Positive = 10.0
+    per_minute: Positive = 120.0
+    disable_after_hours: Positive = 120.0
 
     @field_validator("allow")
     @classmethod
@@ -55,36 +53,15 @@ class WebhooksTable(_Strict):
         return allow
 
 
-class RecordingTable(_Strict):
+class RecordingTable(Strict):
     """``[recording]``: when a new part of a recording is begun, at the next whole realisation."""
 
     max_bytes: Count = 2_000_000_000
     max_seconds: Positive = 86_400.0
+    budget_bytes: Count | None = None
 
 
-class LimitsTable(_Strict):
-    """``[rigs.limits]``: when a node alarms."""
-
-    total_to_noise_db: Annotated[float, Field(allow_inf_nan=False)] = Limits.total_to_noise_db
-    p_value: Annotated[float, Field(gt=0, lt=1)] = Limits.p_value
-    dead_band_db: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Limits.dead_band_db
-    windows: Count = Limits.windows
-    exceeding: Count = Limits.exceeding
-
-    @model_validator(mode="after")
-    def _k_of_n(self) -> Self:
-        if self.exceeding > self.windows:
-            raise ValueError(
-                f"exceeding: {self.exceeding} is not allowed: should be at most 'windows' ({self.windows})"
-            )
-        return self
-
-    def limits(self) -> Limits:
-        """The record that the monitor takes."""
-        return Limits(**self.model_dump())
-
-
-class SimulatedSource(_Strict):
+class SimulatedSource(Strict):
     """``[rigs.source]`` of kind simulated: the rig's model plays the rig."""
 
     kind: Literal["simulated"]
@@ -96,14 +73,14 @@ class SimulatedSource(_Strict):
     pace: Annotated[float, Field(gt=0)] | None = 1.0
 
 
-class RecordingSource(_Strict):
+class RecordingSource(Strict):
     """``[rigs.source]`` of kind recording: parts of one recorded run, in order."""
 
     kind: Literal["recording"]
     files: Annotated[list[Path], Field(min_length=1)]
 
 
-class ForeignSource(_Strict):
+class ForeignSource(Strict):
     """``[rigs.source]`` of a kind that this version does not read yet."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
@@ -117,19 +94,29 @@ class ForeignSource(_Strict):
 SourceTable = Annotated[SimulatedSource | RecordingSource | ForeignSource, Field(discriminator="kind")]
 
 
-class RigTable(_Strict):
+class RigTable(Strict):
     """One of ``[[rigs]]``."""
 
     rig: Path
     model: Path | None = None
     window: Count = 4
     limits: LimitsTable = LimitsTable()
+    alarms: AlarmsTable = AlarmsTable()
+    baseline: BaselineTable = BaselineTable()
     source: SourceTable
 
     @model_validator(mode="after")
     def _a_simulated_rig_has_a_model(self) -> Self:
         if self.source.kind == "simulated" and self.model is None:
             raise ValueError("model: is missing; a simulated source needs one")
+        return self
+
+    @model_validator(mode="after")
+    def _a_baseline_has_windows(self) -> Self:
+        try:
+            self.baseline.rules(self.window)
+        except ValueError as error:
+            raise ValueError(f"baseline.{error}") from None
         return self
 
 

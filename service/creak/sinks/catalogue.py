@@ -1,11 +1,16 @@
 """Recorder whose files the store lists."""
 
+import logging
 from pathlib import Path
 
+from creak.errors import StorageError
 from creak.records import AlarmChange, Estimate, Fault, Frame, Run, RunEnd, Scope
 from creak.sinks.database import Store
 from creak.sinks.recorder import Recorder
+from creak.sinks.service_alarms import raise_alarm
 from creak.sinks.store import RecordingEntry, put_recording
+
+_log = logging.getLogger(__name__)
 
 
 class CataloguedRecorder:
@@ -23,6 +28,7 @@ class CataloguedRecorder:
         self._run: Run | None = None
         self._time = 0
         self._began: dict[Path, int] = {}
+        self._told = False
 
     def open(self, run: Run) -> None:
         """Begin the recording and list it."""
@@ -35,7 +41,11 @@ class CataloguedRecorder:
         parts = len(self._recorder.paths)
         if isinstance(record, Frame):
             self._time = max(self._time, record.time)
-        self._recorder.take(record)
+        try:
+            self._recorder.take(record)
+        except StorageError as error:
+            self._tell(error)
+            raise
         if len(self._recorder.paths) > parts or (isinstance(record, Estimate) and record.scope is Scope.RUN):
             self._list("writing")
 
@@ -50,6 +60,25 @@ class CataloguedRecorder:
             self._recorder.close(end)
         finally:
             self._list("complete" if self._recorder.failure is None else "truncated")
+
+    def _tell(self, error: StorageError) -> None:
+        """Raise the alarm that the recording has stopped, once; monitoring goes on without it."""
+        if self._told or self._run is None:
+            return
+        self._told = True
+        try:
+            with self._store.write() as connection:
+                raise_alarm(
+                    connection,
+                    self._run.rig.name,
+                    "",
+                    "storage",
+                    self._time,
+                    reason=str(error),
+                    guidance="Monitoring goes on, but nothing is recorded. Make room and start the service anew.",
+                )
+        except StorageError as trouble:
+            _log.warning("%s: no alarm could be raised about it: %s", error, trouble)
 
     def _list(self, status: str) -> None:
         assert self._run is not None

@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError, SQLAlchemyError
 
 from creak.errors import ConfigurationError, StorageError
-from creak.sinks import tables
+from creak.sinks import migrations, tables
 
 Mode = Literal["read", "durable", "status"]
 
@@ -168,10 +168,10 @@ def _listen(engine: sa.Engine) -> None:
 
 
 def _adopt(store: Store, source: str, key: str) -> None:
-    """Make the tables of a new store, and refuse a foreign or newer one before anything is written to it."""
+    """Make the tables of a new store, bring up those of an older one, and leave a foreign or newer one alone."""
     try:
         with store.read() as connection:
-            fresh = _version(connection, source, key) is None
+            current = _version(connection, source, key) == tables.SCHEMA_VERSION
     except StorageError as error:
         if "not a database" in str(error):
             problem = f"{store.label} is not a database; it is left as it is"
@@ -179,15 +179,16 @@ def _adopt(store: Store, source: str, key: str) -> None:
         raise
     with store._engine.connect() as connection:
         _write_ahead(connection, store)
-    if not fresh:
+    if current:
         return
     with store.write() as connection:
         if connection.dialect.name == "postgresql":
             connection.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": _CREATION_LOCK})
-        if _version(connection, source, key) is None:  # another process may have been quicker
-            tables.metadata.create_all(connection)
-            connection.execute(sa.insert(tables.schema).values(version=tables.SCHEMA_VERSION))
-            connection.execute(sa.insert(tables.counters).values(name="events", value=0))
+        version = _version(connection, source, key)  # another process may have been quicker
+        if version is None:
+            migrations.create(connection)
+        elif version < tables.SCHEMA_VERSION:
+            migrations.migrate(connection, version)
 
 
 def _version(connection: sa.Connection, source: str, key: str) -> int | None:

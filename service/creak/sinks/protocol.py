@@ -1,8 +1,11 @@
 """What every sink of records promises."""
 
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from creak.alarm_records import Conflict
 from creak.records import AlarmChange, Estimate, Fault, Frame, Run, RunEnd
+from creak.sinks.actions import Asked
 
 
 class Sink(Protocol):
@@ -28,4 +31,20 @@ class Sink(Protocol):
 
     def close(self, end: RunEnd) -> None:
         """End the run with its exit status and counts; nothing is taken afterwards."""
+        ...
+
+
+class Desk(Protocol):
+    """Where a worker hears what operators want, and keeps what a restart needs; no call waits for anything."""
+
+    def asked(self) -> Sequence[Asked]:
+        """Return what was asked for since the last call."""
+        ...
+
+    def answer(self, asked: Asked, conflict: Conflict | None) -> None:
+        """Tell that an action was carried out, or why not; after the records that came of it."""
+        ...
+
+    def save(self, recorded: int, pack: Callable[[], bytes]) -> None:
+        """Keep the monitor's state, which reaches up to a recorded time; it is packed elsewhere."""
         ...

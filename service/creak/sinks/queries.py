@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
+from creak.alarm_records import AlarmRules
 from creak.codec import alarm_json, fault_json, node_json, spectrum_json, time_json
 from creak.records import AlarmChange, AlarmState, Estimate, Fault, FaultKind, NodeLevel, Scope, Spectra
 from creak.sinks import tables
+from creak.sinks.alarm_rows import change_of
 from creak.sinks.store import SPECTRA, alarm_states
 
 Json = dict[str, Any]
@@ -23,7 +25,6 @@ Row = sa.RowMapping
 
 _LEVELS = tuple(NodeLevel.__dataclass_fields__)
 _FAULT = tuple(Fault.__dataclass_fields__)
-_ALARM = tuple(AlarmChange.__dataclass_fields__)
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ def alarms(connection: sa.Connection, wanted: AlarmFilter, after: tuple[int, int
     query = query.order_by(table.c.since.desc(), table.c.seq.desc()).limit(limit + 1)
     rows = connection.execute(query).mappings().all()
     end = (rows[limit - 1]["since"], rows[limit - 1]["seq"]) if len(rows) > limit else None
-    return Slice([alarm_json(_change(row)) for row in rows[:limit]], end)
+    return Slice([alarm_json(change_of(row)) for row in rows[:limit]], end)
 
 
 def alarm(connection: sa.Connection, identifier: str) -> Json | None:
@@ -218,7 +219,26 @@ def alarm(connection: sa.Connection, identifier: str) -> Json | None:
     changes = connection.execute(
         sa.select(journal.c.payload).where(journal.c.alarm == identifier).order_by(journal.c.seq)
     ).scalars()
-    return {**alarm_json(_change(row)), "changes": [json.loads(change) for change in changes]}
+    return {**alarm_json(change_of(row)), "changes": [json.loads(change) for change in changes]}
+
+
+def alarm_change(connection: sa.Connection, identifier: str) -> AlarmChange | None:
+    """Return the newest change of an alarm; None if there is no such alarm."""
+    row = connection.execute(sa.select(tables.alarms).where(tables.alarms.c.id == identifier)).mappings().first()
+    return None if row is None else change_of(row)
+
+
+def alarm_is_of_an_earlier_run(connection: sa.Connection, identifier: str) -> bool:
+    """Tell whether an alarm was raised in a run that is not its rig's current one."""
+    alarms = tables.alarms
+    query = sa.select(tables.rigs.c.run, alarms.c.run).join(alarms, alarms.c.rig == tables.rigs.c.name)
+    row = connection.execute(query.where(alarms.c.id == identifier)).first()
+    return row is not None and row[0] != row[1]
+
+
+def alarm_rules(run: Row | None) -> AlarmRules:
+    """Return the rules by which the alarms of a run live; the usual ones if they are not known."""
+    return AlarmRules(**((run["rules"] if run is not None else None) or {}))
 
 
 def recordings(connection: sa.Connection, rig_name: str | None, after: int | None, limit: int) -> Slice:
@@ -313,10 +333,6 @@ def _level(row: Row) -> NodeLevel:
 def _no_level(name: str) -> NodeLevel:
     """Return a node of which nothing is known yet."""
     return NodeLevel(name, math.nan, *[None] * (len(_LEVELS) - 2))
-
-
-def _change(row: Row) -> AlarmChange:
-    return AlarmChange(**{**{name: row[name] for name in _ALARM}, "state": AlarmState(row["state"])})
 
 
 def _time(recorded: int | None) -> str | None:

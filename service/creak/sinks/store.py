@@ -5,7 +5,6 @@ one transaction a record, and is on disk when `StoreSink.take` returns. Counts a
 they are gathered and written about once a second.
 """
 
-import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
-from creak.codec import alarm_json, element_json, fault_json, node_json, time_json
+from creak.codec import element_json, fault_json, node_json, time_json
 from creak.config.rig import rig_toml
 from creak.records import (
     AlarmChange,
@@ -29,7 +28,8 @@ from creak.records import (
     RunStatus,
     Spectra,
 )
-from creak.sinks import tables
+from creak.sinks import operator_tables, tables
+from creak.sinks.alarm_rows import KEEP_EVENTS, put_alarm, tell
 from creak.sinks.database import Store, open_store
 from creak.sinks.tally import Tally
 
@@ -45,7 +45,6 @@ BEAT_SECONDS = 5.0
 """How often a worker writes that it is alive while nothing else changes."""
 
 _FLUSH_SECONDS = 1.0
-_PRUNE_EVERY = 256
 _FAULTS_A_FLUSH = 200  # a storm of faults is counted in full, but only so many of it are kept as rows
 _FAULTS_A_RUN = 5_000
 
@@ -101,7 +100,7 @@ class StoreSink:
     """
 
     def __init__(
-        self, store: Store, *, keep_events: int = 10_000, clock: Callable[[], int] = time.time_ns
+        self, store: Store, *, keep_events: int = KEEP_EVENTS, clock: Callable[[], int] = time.time_ns
     ) -> None:
         self._store = store
         self._keep_events = keep_events
@@ -171,6 +170,14 @@ class StoreSink:
             )
             self._tell(connection, [("run", self._run_event(end.status.value, end.time))])
         self._clean()
+
+    def save(self, recorded: int, payload: bytes) -> None:
+        """Write what the rig's monitor has to know after a restart, in the place of what was there."""
+        row = {"rig": self._rig, "run": self._run, "time": recorded, "payload": payload}
+        with self._store.write() as connection:
+            states = operator_tables.states
+            if not connection.execute(sa.update(states).where(states.c.rig == self._rig).values(row)).rowcount:
+                connection.execute(sa.insert(states).values(row))
 
     def _reached(self, recorded: int) -> None:
         self._last = recorded if self._last is None else max(self._last, recorded)
@@ -255,37 +262,21 @@ class StoreSink:
             connection.execute(sa.insert(tables.spectra), rows)
 
     def _write_alarm(self, change: AlarmChange) -> None:
-        row = {"run": self._run, **asdict(change), "state": change.state.value}
-        payload = alarm_json(change)
         with self._store.write() as connection:
-            if not connection.execute(
-                sa.update(tables.alarms).where(tables.alarms.c.id == change.id).values(row)
-            ).rowcount:
-                connection.execute(sa.insert(tables.alarms).values(row))
-            connection.execute(
-                sa.insert(tables.journal).values(alarm=change.id, run=self._run, payload=_text(payload))
-            )
-            self._tell(connection, [("alarm", payload)])
+            put_alarm(connection, self._run, change, keep_events=self._keep_events)
 
     def _run_event(self, status: str, recorded: int) -> dict[str, Any]:
         return {"rig": self._rig, "run": self._run, "status": status, "time": time_json(recorded)}
 
     def _tell(self, connection: sa.Connection, news: Iterable[tuple[str, Mapping[str, Any]]]) -> None:
-        """Append to the event stream, in the same transaction as that which it tells of."""
-        rows = [{"kind": kind, "rig": self._rig, "payload": _text(payload)} for kind, payload in news]
-        counter = tables.counters
-        newest = int(
-            connection.execute(
-                sa.update(counter)
-                .where(counter.c.name == "events")
-                .values(value=counter.c.value + len(rows))
-                .returning(counter.c.value)
-            ).scalar_one()
-        )
-        first = newest - len(rows) + 1
-        connection.execute(sa.insert(tables.events), [{"id": first + i, **row} for i, row in enumerate(rows)])
-        if first // _PRUNE_EVERY != (newest + 1) // _PRUNE_EVERY:
-            connection.execute(sa.delete(tables.events).where(tables.events.c.id <= newest - self._keep_events))
+        tell(connection, self._rig, news, self._keep_events)
+
+
+def saved_state(store: Store, rig: str) -> bytes | None:
+    """Return what a rig's monitor saved last; None if there is nothing."""
+    states = operator_tables.states
+    with store.read() as connection:
+        return connection.execute(sa.select(states.c.payload).where(states.c.rig == rig)).scalar()
 
 
 def put_recording(store: Store, entry: RecordingEntry) -> None:
@@ -330,6 +321,7 @@ def _run_row(run: Run, now: int) -> dict[str, Any]:
         "software": run.software,
         "excitation": asdict(run.excitation),
         "limits": asdict(run.limits),
+        "rules": asdict(run.alarms),
         "start": run.start,
         "last": None,
         "end": None,
@@ -374,7 +366,3 @@ def _spectra_bytes(spectra: Spectra, node: int) -> bytes:
     unknown = np.full(len(spectra.frequency), np.nan)
     rows = [spectra.frequency, *(unknown if column is None else column[:, node] for column in columns)]
     return np.stack(rows).astype("<f8").tobytes()
-
-
-def _text(payload: Mapping[str, Any]) -> str:
-    return json.dumps(payload, ensure_ascii=False, allow_nan=False, separators=(",", ":"))

@@ -6,13 +6,13 @@ the Unix epoch, but for the columns named ``*_at``, which are wall-clock nanosec
 
 import sqlalchemy as sa
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Version of these tables; a database of a newer one is refused."""
 
 metadata = sa.MetaData()
 
 # SQLite numbers rows by itself only for a column declared INTEGER PRIMARY KEY, which is 64 bits wide there
-_Serial = sa.BigInteger().with_variant(sa.Integer, "sqlite")
+Serial = sa.BigInteger().with_variant(sa.Integer, "sqlite")
 _Time = sa.BigInteger
 
 schema = sa.Table(
@@ -46,6 +46,7 @@ runs = sa.Table(
     sa.Column("software", sa.Text, nullable=False),
     sa.Column("excitation", sa.JSON, nullable=False),
     sa.Column("limits", sa.JSON, nullable=False),
+    sa.Column("rules", sa.JSON),  # AlarmRules; since version 2
     sa.Column("start", _Time, nullable=False),
     sa.Column("last", _Time),  # recorded time of the newest frame or fault
     sa.Column("end", _Time),
@@ -72,7 +73,7 @@ rigs = sa.Table(
 estimates = sa.Table(
     "estimates",
     metadata,
-    sa.Column("id", _Serial, primary_key=True),
+    sa.Column("id", Serial, primary_key=True),
     sa.Column("run", sa.ForeignKey("runs.id", ondelete="CASCADE"), nullable=False),
     sa.Column("scope", sa.String(8), nullable=False),
     sa.Column("time", _Time, nullable=False),
@@ -90,7 +91,7 @@ estimates = sa.Table(
 levels = sa.Table(
     "levels",
     metadata,
-    sa.Column("id", _Serial, primary_key=True),
+    sa.Column("id", Serial, primary_key=True),
     sa.Column("estimate", sa.ForeignKey("estimates.id", ondelete="CASCADE"), nullable=False, index=True),
     sa.Column("rig", sa.Text, nullable=False),
     sa.Column("run", sa.Text, nullable=False),
@@ -124,7 +125,7 @@ spectra = sa.Table(
 alarms = sa.Table(
     "alarms",
     metadata,
-    sa.Column("seq", _Serial, primary_key=True),
+    sa.Column("seq", Serial, primary_key=True),
     sa.Column("id", sa.Text, nullable=False, unique=True),
     sa.Column("run", sa.Text, nullable=False),
     sa.Column("rig", sa.Text, nullable=False),
@@ -139,6 +140,7 @@ alarms = sa.Table(
     sa.Column("since", _Time, nullable=False),
     sa.Column("time", _Time, nullable=False),
     sa.Column("level_db", sa.Double),
+    sa.Column("more", sa.JSON),  # the fields of AlarmChange that have no column of their own; since version 2
     sa.Index("alarms_newest", "since", "seq"),
     sa.Index("alarms_of_run", "run", "seq"),
     sqlite_autoincrement=True,
@@ -148,7 +150,7 @@ alarms = sa.Table(
 journal = sa.Table(
     "journal",
     metadata,
-    sa.Column("seq", _Serial, primary_key=True),
+    sa.Column("seq", Serial, primary_key=True),
     sa.Column("alarm", sa.Text, nullable=False, index=True),
     sa.Column("run", sa.Text, nullable=False, index=True),
     sa.Column("payload", sa.Text, nullable=False),  # the change as JSON
@@ -159,7 +161,7 @@ journal = sa.Table(
 faults = sa.Table(
     "faults",
     metadata,
-    sa.Column("id", _Serial, primary_key=True),
+    sa.Column("id", Serial, primary_key=True),
     sa.Column("run", sa.ForeignKey("runs.id", ondelete="CASCADE"), nullable=False, index=True),
     sa.Column("kind", sa.String(32), nullable=False),
     sa.Column("time", _Time, nullable=False),
@@ -173,7 +175,7 @@ faults = sa.Table(
 recordings = sa.Table(
     "recordings",
     metadata,
-    sa.Column("seq", _Serial, primary_key=True),
+    sa.Column("seq", Serial, primary_key=True),
     sa.Column("id", sa.Text, nullable=False, unique=True),
     sa.Column("rig", sa.Text, nullable=False),
     sa.Column("run", sa.Text, nullable=False),

@@ -1,8 +1,9 @@
 """What every source of period frames promises."""
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
+from creak.alarm_records import Action, Clock
 from creak.records import Fault, Frame, Run
 
 
@@ -30,4 +31,13 @@ class Source(Protocol):
 
     def close(self) -> None:
         """End the iteration soon, also from another thread; a second call is harmless."""
+        ...
+
+
+@runtime_checkable
+class Replayable(Protocol):
+    """A source that also knows what operators did and how far time had come while nothing was measured."""
+
+    def replayed(self) -> Iterator[Frame | Fault | Action | Clock]:
+        """Yield what `Source.frames` does, and in between what else the monitor took."""
         ...

@@ -10,6 +10,8 @@ from typing import IO, cast
 from mcap.records import Channel, Header, Message, Metadata, Schema
 
 from creak import codec
+from creak.alarm_records import Action, Clock
+from creak.alarms import action_of
 from creak.errors import RecordingError
 from creak.records import AlarmChange, Estimate, Fault, FaultKind, Frame, FrameStatus, Run, RunEnd
 from creak.sources.salvage import Gap, Whole, is_mcap, salvage
@@ -78,6 +80,16 @@ class Recording:
 
     def frames(self) -> Iterator[Frame | Fault]:
         """Yield the frames as they came from the rig, and what the source then or the file now lacks."""
+        for item in self.replayed():
+            if isinstance(item, Frame | Fault):
+                yield item
+
+    def replayed(self) -> Iterator[Frame | Fault | Action | Clock]:
+        """Yield the same, and in between what operators did and the times at which alarms changed.
+
+        An alarm may change while no frame comes, because it is overdue or somebody acknowledges it: a replay
+        knows that only from the change itself.
+        """
         for record in self._pass():
             if isinstance(record, Frame):
                 yield replace(record, status=FrameStatus.ACCEPTED, reason="")
@@ -85,6 +97,11 @@ class Recording:
                 yield record.fault
             elif isinstance(record, Fault) and record.kind in _REPORTED:
                 yield record
+            elif isinstance(record, AlarmChange):
+                yield Clock(record.time)
+                action = action_of(record)
+                if action is not None:
+                    yield action
 
     def recorded(self) -> Iterator[Frame | Fault | Estimate | AlarmChange]:
         """Yield everything as it was recorded: frames as judged, all faults, estimates and alarm changes."""

@@ -1,0 +1,108 @@
+"""What a monitor has to know after a restart as bytes, and back.
+
+A JSON text that names every record and field, and behind it the bytes of the arrays that it refers to. Only the
+records listed here are ever made from it, so a store that somebody else can write to is no way into the process.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from creak.alarm_records import Verdict
+from creak.alarms.judge import NodeAlarm, Watch
+from creak.alarms.life import Alarm
+from creak.alarms.quality import Quality
+from creak.alarms.table import Facts
+from creak.baseline import Baseline
+from creak.detection import LineSums
+from creak.errors import RecordingError
+from creak.judgement import Block
+from creak.monitor import Memory
+from creak.statistics import Sums
+from creak.trend import Trend
+
+_RECORDS: Mapping[str, type[Any]] = {
+    kind.__name__: kind
+    for kind in (Memory, NodeAlarm, Watch, Alarm, Facts, Quality, Baseline, Trend, Sums, Block, LineSums)
+}
+_ENUMS: Mapping[str, type[Enum]] = {kind.__name__: kind for kind in (Verdict,)}
+_FORMAT = 1
+
+
+def memory_bytes(memory: Memory) -> bytes:
+    """Write a memory as bytes."""
+    arrays: list[bytes] = []
+    text = json.dumps({"format": _FORMAT, "memory": _plain(memory, arrays)}, separators=(",", ":")).encode()
+    return len(text).to_bytes(8, "little") + text + b"".join(arrays)
+
+
+def memory_of(data: bytes) -> Memory:
+    """Read a memory from bytes.
+
+    Raises
+    ------
+    RecordingError
+        If they are none of this version's; a monitor then begins afresh.
+    """
+    length = int.from_bytes(data[:8], "little")
+    try:
+        document = json.loads(data[8 : 8 + length])
+        if document["format"] != _FORMAT:
+            raise RecordingError(f"a monitor's state of format {document['format']}; this creak reads {_FORMAT}")
+        memory = _made(document["memory"], memoryview(data)[8 + length :])
+    except RecordingError:
+        raise
+    except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
+        raise RecordingError(f"a monitor's state that cannot be read: {error}") from error
+    if not isinstance(memory, Memory):
+        raise RecordingError("a monitor's state that is none")
+    return memory
+
+
+def _plain(value: Any, arrays: list[bytes]) -> Any:
+    """Turn a value into what JSON holds: a scalar, or a list that begins with its kind."""
+    if isinstance(value, Enum):
+        return ["enum", type(value).__name__, value.value]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray):
+        offset = sum(map(len, arrays))
+        arrays.append(np.ascontiguousarray(value).astype(value.dtype.newbyteorder("<")).tobytes())
+        return ["array", value.dtype.newbyteorder("<").str, list(value.shape), offset]
+    if isinstance(value, tuple):
+        return ["tuple", *(_plain(item, arrays) for item in value)]
+    if isinstance(value, frozenset):
+        return ["set", *(_plain(item, arrays) for item in sorted(value))]
+    if isinstance(value, Mapping):
+        return ["map", *([_plain(key, arrays), _plain(item, arrays)] for key, item in value.items())]
+    name = type(value).__name__
+    if _RECORDS.get(name) is not type(value):
+        raise TypeError(f"{name} is not part of a monitor's memory")
+    fields = {f.name: _plain(getattr(value, f.name), arrays) for f in dataclasses.fields(value)}
+    return ["record", name, fields]
+
+
+def _made(value: Any, arrays: memoryview) -> Any:
+    if not isinstance(value, list):
+        return value
+    kind, *rest = value
+    match kind:
+        case "enum":
+            return _ENUMS[rest[0]](rest[1])
+        case "array":
+            dtype, shape, offset = np.dtype(rest[0]), tuple(rest[1]), rest[2]
+            count = int(np.prod(shape, dtype=np.int64))
+            return np.frombuffer(arrays, dtype, count, offset).reshape(shape).copy()
+        case "tuple":
+            return tuple(_made(item, arrays) for item in rest)
+        case "set":
+            return frozenset(_made(item, arrays) for item in rest)
+        case "map":
+            return {_made(key, arrays): _made(item, arrays) for key, item in rest}
+        case "record":
+            return _RECORDS[rest[0]](**{name: _made(item, arrays) for name, item in rest[1].items()})
+    raise ValueError(f"{kind!r} is no kind of value")

@@ -1,0 +1,138 @@
+"""What operators ask for, between the API that writes it down and the worker whose monitor does it.
+
+While a worker measures a rig, its monitor alone changes the rig's alarms: the API writes an action, the worker
+carries it out and writes the answer. Without a worker the API does the same with the alarm's row in one step
+(:func:`carry_out`), and leaves the action for a later worker to learn of.
+"""
+
+import time
+import uuid
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from creak import alarms
+from creak.alarm_records import Action, ActionKind, AlarmRules, Conflict
+from creak.sinks import tables
+from creak.sinks.alarm_rows import change_of, put_alarm
+from creak.sinks.operator_tables import actions
+
+PENDING, DONE, STALE, NOT_ALLOWED = "pending", "done", "stale", "not_allowed"
+
+_KEPT = 1_000_000_000 * 86_400 * 400  # ns; the journal has the rest
+
+
+@dataclass(frozen=True)
+class Asked:
+    """An action as it was asked for.
+
+    Parameters
+    ----------
+    seq : int
+        Its place in the order of all actions.
+    action : Action
+    told : bool
+        True if it is done and told already; the monitor has only to learn of it.
+    """
+
+    seq: int
+    action: Action
+    told: bool
+
+
+def ask(connection: sa.Connection, rig: str, action: Action, status: str = PENDING) -> str:
+    """Write down what an operator asks of a rig; return the id under which the answer is found."""
+    identifier, now = uuid.uuid4().hex, time.time_ns()
+    connection.execute(sa.delete(actions).where(actions.c.rig == rig, actions.c.asked_at < now - _KEPT))
+    connection.execute(
+        sa.insert(actions).values(
+            id=identifier,
+            rig=rig,
+            alarm=action.alarm,
+            kind=action.kind.value,
+            by=action.by,
+            comment=action.comment,
+            until=action.until,
+            version=action.version,
+            asked_at=now,
+            status=status,
+            reason="",
+            folded=False,
+        )
+    )
+    return identifier
+
+
+def outcome(connection: sa.Connection, identifier: str) -> tuple[str, str]:
+    """Return the status of an action, and why it was refused."""
+    query = sa.select(actions.c.status, actions.c.reason).where(actions.c.id == identifier)
+    status, reason = connection.execute(query).one()
+    return status, reason
+
+
+def waiting(connection: sa.Connection, rig: str, after: int) -> list[Asked]:
+    """Return the actions that the monitor of a rig does not know, in order."""
+    query = (
+        sa.select(actions)
+        .where(actions.c.rig == rig, ~actions.c.folded, actions.c.seq > after)
+        .order_by(actions.c.seq)
+        .limit(100)
+    )
+    return [
+        Asked(
+            row["seq"],
+            Action(row["alarm"], ActionKind(row["kind"]), row["by"], row["comment"], row["until"], row["version"]),
+            row["status"] == DONE,
+        )
+        for row in connection.execute(query).mappings()
+    ]
+
+
+def answer(connection: sa.Connection, asked: Asked, conflict: Conflict | None) -> None:
+    """Write that the monitor has carried an action out, or why not; after the changes that it made."""
+    values: dict[str, object] = {"folded": True}
+    if not asked.told:
+        values |= {"status": DONE} if conflict is None else {"status": conflict.kind, "reason": conflict.reason}
+    connection.execute(sa.update(actions).where(actions.c.seq == asked.seq).values(values))
+
+
+def carry_out(connection: sa.Connection, action: Action, rules: AlarmRules, now: int) -> Conflict | None:
+    """Do what an operator asks with an alarm that no worker looks after.
+
+    Parameters
+    ----------
+    connection : sqlalchemy.Connection
+        Of a durable transaction.
+    action : Action
+    rules : AlarmRules
+    now : int
+        Recorded time, ns.
+
+    Returns
+    -------
+    Conflict or None
+        Why it was not done.
+    """
+    table = tables.alarms
+    row = connection.execute(sa.select(table).where(table.c.id == action.alarm)).mappings().one()
+    change = change_of(row)
+    newest = sa.select(table.c.id).where(
+        table.c.rig == change.rig,
+        table.c.node == change.node,
+        table.c.class_ == change.class_,
+        table.c.seq > row["seq"],
+    )
+    same = (
+        connection.execute(newest).first() is None
+        if change.class_ == "process"
+        else True  # of class quality, several conditions of a node have alarms of their own
+    )
+    if not same and not change.acknowledged:
+        return Conflict("stale", "the occurrence has ended and a newer one has taken its place")
+    result = alarms.act(alarms.of_change(change), action, max(now, change.time), rules, row["run"])
+    if isinstance(result, Conflict):
+        return result
+    for made in result[1]:
+        put_alarm(connection, row["run"], made)
+    ask(connection, change.rig, action, DONE)
+    return None

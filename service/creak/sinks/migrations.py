@@ -1,0 +1,33 @@
+"""From the tables of an older version to those of this one, step by step, in one transaction."""
+
+from collections.abc import Callable, Mapping
+
+import sqlalchemy as sa
+
+from creak.sinks import operator_tables, tables
+
+
+def _to_2(connection: sa.Connection) -> None:
+    """Add operators' actions, webhooks, keys and saved states; alarms keep facts without a column."""
+    tables.metadata.create_all(connection, tables=operator_tables.ADDED)
+    kind = tables.alarms.c.more.type.compile(connection.dialect)
+    for table, column in (("alarms", "more"), ("runs", "rules")):
+        connection.exec_driver_sql(f"ALTER TABLE {table} ADD COLUMN {column} {kind}")
+
+
+STEPS: Mapping[int, Callable[[sa.Connection], None]] = {2: _to_2}
+"""Version to the step that reaches it from the one before."""
+
+
+def create(connection: sa.Connection) -> None:
+    """Make all tables in an empty database."""
+    tables.metadata.create_all(connection)
+    connection.execute(sa.insert(tables.schema).values(version=tables.SCHEMA_VERSION))
+    connection.execute(sa.insert(tables.counters).values(name="events", value=0))
+
+
+def migrate(connection: sa.Connection, version: int) -> None:
+    """Bring the tables of a version to the newest; nothing is changed if a step fails."""
+    for step in range(version + 1, tables.SCHEMA_VERSION + 1):
+        STEPS[step](connection)
+    connection.execute(sa.update(tables.schema).values(version=tables.SCHEMA_VERSION))

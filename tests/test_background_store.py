@@ -1,0 +1,165 @@
+"""A store in trouble harms neither acquisition nor what is already known; operators are heard through it."""
+
+import contextlib
+import sqlite3
+import time
+
+import pytest
+import sqlalchemy as sa
+
+from conftest import make_frames, make_rig
+from conftest import make_run as make_real_run
+from creak.alarm_records import Action, ActionKind
+from creak.codec import memory_of
+from creak.errors import StorageError
+from creak.monitor import Monitor
+from creak.records import AlarmChange, Counts, RunEnd, RunStatus
+from creak.sinks import actions, queries, tables
+from creak.sinks.background import BackgroundStore
+from creak.sinks.database import open_store
+from creak.sinks.store import StoreSink, saved_state
+from creak.worker import Worker
+from store_records import START, feed, make_alarm, make_estimate, make_run
+
+RUN = make_run()
+END = RunEnd(START, RunStatus.COMPLETED, Counts())
+
+
+@pytest.fixture
+def store(tmp_path):
+    made = open_store(f"sqlite:///{tmp_path}/creak.db")
+    yield made
+    made.close()
+
+
+@contextlib.contextmanager
+def locked(tmp_path):
+    """Another program holds the database, as a backup does."""
+    other = sqlite3.connect(tmp_path / "creak.db", isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+    finally:
+        other.execute("ROLLBACK")
+        other.close()
+
+
+def count(store, table):
+    with store.read() as connection:
+        return connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one()
+
+
+def wait_for(until, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not (found := until()):
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.01)
+    return found
+
+
+def test_locked_store_holds_nobody_up_and_gets_everything_afterwards(store, tmp_path):
+    """Kills a worker that waits for a lock, and a record that is lost because the store was busy."""
+    desk = BackgroundStore(store, StoreSink(store))
+    desk.open(RUN)
+    with locked(tmp_path):
+        begun = time.monotonic()
+        feed(desk, RUN, 20)
+        for number in range(5):
+            desk.take(make_alarm(RUN, number=number))
+        desk.tick(time.monotonic())
+        desk.asked()
+        assert time.monotonic() - begun < 1.0
+        time.sleep(5.5)  # longer than a writer waits for its turn, so that a write fails
+        assert count(store, tables.alarms) == 0
+    wait_for(lambda: count(store, tables.alarms) == 5)
+    assert count(store, tables.estimates) == 40
+    desk.close(END)
+    with store.read() as connection:
+        assert queries.current_run(connection, "beam")["status"] == "completed"
+
+
+def test_full_queue_refuses_what_can_be_missed_and_keeps_alarms(store, tmp_path):
+    desk = BackgroundStore(store, StoreSink(store), queue=10, patience=0.1)
+    desk.open(RUN)
+    with locked(tmp_path):
+        with pytest.raises(StorageError, match="10 records wait already"):
+            for number in range(12):
+                desk.take(make_estimate(RUN, number))
+        for number in range(12):
+            desk.take(make_alarm(RUN, number=number))
+    wait_for(lambda: count(store, tables.alarms) == 12)
+    assert 0 < count(store, tables.estimates) <= 11
+    desk.close(END)
+
+
+def test_record_that_can_never_be_stored_does_not_block_those_behind_it(store, caplog):
+    desk = BackgroundStore(store, StoreSink(store))
+    desk.open(RUN)
+    desk.take(make_alarm(RUN, severity=None))
+    desk.take(make_alarm(RUN, number=1))
+    wait_for(lambda: count(store, tables.alarms) == 1)
+    assert "left out" in caplog.text
+    desk.close(END)
+
+
+class Source:
+    """Frames of a static structure, one realisation at a time, until it is told to end."""
+
+    live = False
+
+    def __init__(self, run, frames):
+        self.run, self._frames, self.closed = run, frames, False
+
+    def frames(self):
+        for frame in self._frames:
+            if self.closed:
+                return
+            yield frame
+        while not self.closed:
+            time.sleep(0.01)
+
+    def close(self):
+        self.closed = True
+
+
+def test_operator_is_heard_and_a_restart_remembers(store):
+    """From an alarm of real frames to its acknowledgement, and over a restart: what the issue asks of the store."""
+    run = make_real_run(make_rig(name="beam"), start=START, run_id="first")
+    frames = make_frames(run, 10, cubic=3, noise=1e-3)
+    desk = BackgroundStore(store, StoreSink(store))
+    worker = Worker(Source(run, frames), [desk], desk=desk)
+    worker.start()
+
+    def alarms(connection):
+        return queries.alarms(connection, queries.AlarmFilter(), None, 10).items
+
+    def raised():
+        with store.read() as connection:
+            return [a for a in alarms(connection) if a["class"] == "process"]
+
+    (alarm,) = wait_for(raised)
+    with store.write() as connection:
+        asked = actions.ask(connection, "beam", Action(alarm["id"], ActionKind.ACKNOWLEDGE, "operator", "seen"))
+        refused = actions.ask(connection, "beam", Action("nosuch", ActionKind.ACKNOWLEDGE, "operator"))
+
+    def outcomes():
+        with store.read() as connection:
+            found = [actions.outcome(connection, item)[0] for item in (asked, refused)]
+        return actions.PENDING not in found and found
+
+    assert wait_for(outcomes) == [actions.DONE, actions.STALE]
+    with store.read() as connection:
+        assert queries.alarm(connection, alarm["id"])["state"] == "acknowledged"
+        assert actions.waiting(connection, "beam", 0) == []
+    worker.stop()
+    assert worker.error is None
+    memory = memory_of(saved_state(store, "beam"))
+    second = Monitor(make_real_run(make_rig(name="beam"), start=memory.time, run_id="second"), memory)
+    assert second.alarms["3"] == "acknowledged"
+    again = make_frames(second.run, 6, cubic=0, noise=1e-3)
+    changes = [
+        c for frame in again for c in second.take(frame) if isinstance(c, AlarmChange) and c.class_ == "process"
+    ]
+    assert [
+        c for c in changes if c.event == "raised"
+    ] == []  # it stands and is acknowledged; nobody is woken again
