@@ -17,8 +17,10 @@ from typing import Annotated
 import typer
 
 from creak.api import Server, create_app, listen_on
+from creak.cli.canlibraries import can_support
 from creak.cli.display import LiveLevels
 from creak.cli.recordings import replay_line
+from creak.config.can import CanSource
 from creak.config.model import load_model
 from creak.config.rig import load_rig
 from creak.config.service import (
@@ -69,7 +71,10 @@ def serve(config: Annotated[Path, typer.Argument(help="Service file (creak.toml)
             raise ConfigurationError(
                 str(config), f"rigs[{index}].rig", f"{name!r} stands twice; rigs have unique names"
             )
-    sources = [_source(table, rig) for table, rig in zip(settings.rigs, rigs, strict=True)]
+    sources = [
+        _source(table, rig, str(config), f"rigs[{index}].source")
+        for index, (table, rig) in enumerate(zip(settings.rigs, rigs, strict=True))
+    ]
     with closing(listen_on(settings.server.host, settings.server.port)) as listener:
         return _run(settings, sources, listener, [[] for _ in sources])
 
@@ -155,10 +160,16 @@ def _empty_store(settings: ServiceSettings) -> None:
             (settings.data / f"creak.db{suffix}").unlink(missing_ok=True)
 
 
-def _source(table: RigTable, rig: Rig) -> Source:
-    """The source of one rig of the service file."""
+def _source(table: RigTable, rig: Rig, file: str, key: str) -> Source:
+    """The source of one rig of the service file; file and key say where it stands there."""
     if isinstance(table.source, SimulatedSource):
         return _simulated(table, rig)
+    if isinstance(table.source, CanSource):
+        limits = table.limits.limits()
+        live: Source = can_support().open_can(
+            table.source, rig, window=table.window, limits=limits, file=file, key=key
+        )
+        return live
     if isinstance(table.source, RecordingSource):
         recording = Recording(*table.source.files)
         if replace(recording.run.rig, grid=rig.grid) != rig:
