@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from functools import reduce
 from operator import add
 
-from creak import alarms
+from creak import alarms, quality
 from creak.network import estimate
 from creak.realisations import Collector, Realisation
 from creak.records import AlarmChange, AlarmState, Counts, Estimate, Fault, Frame, FrameStatus, Run, Scope
@@ -33,6 +33,7 @@ class Monitor:
         rig = run.rig
         self._whole = Sums.zero(run.steady_periods, len(rig.lines), rig.n, rig.q)
         self._alarms = {node.name: alarms.NodeAlarm() for node in rig.nodes}
+        self._quality = quality.QualityAlarm()
         self._faults: Counter[str] = Counter()
         self._transient = 0
         self._steady = 0  # good and bad alike
@@ -66,13 +67,18 @@ class Monitor:
             realisation the estimates of window and run and the alarm changes.
         """
         if isinstance(item, Fault):
-            return self._note(item, *self._collector.lose(item))
+            noted = self._note(item, *self._collector.lose(item))
+            self._quality, raised = quality.step_on_fault(self.run, self._quality, item)
+            return [*noted, *raised]
         collected = self._collector.take(item)
         if collected.frame.status is FrameStatus.TRANSIENT:
             self._transient += 1
         else:
             self._steady += 1
         outcomes: list[Outcome] = [collected.frame, *self._note(*collected.faults)]
+        end = item.time + round(self.run.rig.period_ns)
+        self._quality, cleared = quality.step_on_frame(self.run, self._quality, end)
+        outcomes += cleared
         if collected.realisation is not None:
             outcomes += self._complete(collected.realisation)
         return outcomes

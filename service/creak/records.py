@@ -423,7 +423,7 @@ class AlarmChange:
     time : int
         Recorded time of this change.
     level_db : float
-        The node's networked total-to-noise ratio in the window that caused the change, dB.
+        The node's networked total-to-noise ratio in the window that caused the change, dB; NaN for quality.
     """
 
     id: str

@@ -1,5 +1,6 @@
 """What commands show on a terminal: progress while they run, tables when they are done."""
 
+import math
 from typing import Any
 
 from rich.console import Console, Group
@@ -99,7 +100,8 @@ class LiveLevels:
                 self._window = record
             case AlarmChange():
                 self._states[record.node] = record.state
-                self._news.append(f"node {record.node}: {record.event} at {record.level_db:.1f} dB")
+                level = "" if math.isnan(record.level_db) else f" at {record.level_db:.1f} dB"
+                self._news.append(f"node {record.node}: {record.event}{level}")
             case Fault():
                 self._news.append(record.message)
 
