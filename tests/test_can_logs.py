@@ -135,8 +135,8 @@ def test_the_vehicle_log_cannot_be_analysed_and_the_service_says_why(tmp_path):
     )
     (tmp_path / "signals.toml").write_text('responses = {body = "gnss_imu.AccelerationX"}\n')
     done = subprocess.run(
-        [sys.executable, "-m", "creak.cli", "import", VEHICLE / "00000005.MF4",
-         "--dbc", VEHICLE / "canmod-gps.dbc", "--rig", "rig.toml", "--signals", "signals.toml", "--output", "car.mcap"],
+        [sys.executable, "-m", "creak.cli", "import", VEHICLE / "00000005.MF4", "--output", "car.mcap",
+         "--dbc", VEHICLE / "canmod-gps.dbc", "--rig", "rig.toml", "--signals", "signals.toml"],
         cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 2

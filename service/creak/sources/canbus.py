@@ -35,7 +35,7 @@ _DAY: Final = 86_400.0
 
 @dataclass(frozen=True)
 class _Batch:
-    """What the receive loop hands over: frames, and what it has to say of the time before them."""
+    """What the receive loop hands over: frames, and what went wrong after them."""
 
     messages: list[can.Message]
     faults: tuple[Fault, ...] = ()
@@ -132,7 +132,6 @@ class CanBus:
                 if self._ended.is_set():
                     break
                 continue
-            yield from batch.faults
             if self._dropped > named:
                 lost, named = self._dropped - named, self._dropped
                 yield _fault(
@@ -140,6 +139,7 @@ class CanBus:
                 )
             if batch.messages:
                 yield from self._pipeline.push(CanFrames.of(batch.messages))
+            yield from batch.faults
         receiver.join(1.0)
         yield from self._pipeline.finish()
 
