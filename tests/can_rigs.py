@@ -11,7 +11,7 @@ def message(identifier, name, size, signals):
     return f"BO_ {identifier} {name}: {size} C\n" + "".join(f" SG_ {s}\n" for s in signals) + "\n"
 
 
-def one_frame(n, samples=4, counter_bits=32, crc=32):
+def one_frame(n, samples=4, counter_bits=32, crc=32, scales=("0.001", "0.0005")):
     """Everything in one CAN FD frame, several samples in it: the layout of the beam's DBC."""
     bit = 0
     signals = []
@@ -20,7 +20,7 @@ def one_frame(n, samples=4, counter_bits=32, crc=32):
         bit += length
     for s in range(samples):
         for node in range(1, n + 1):
-            for letter, scale in (("U", "0.001"), ("Y", "0.0005")):
+            for letter, scale in zip("UY", scales, strict=True):
                 signals.append(f'{letter}_{node}_{s} : {bit}|16@1- ({scale},0) [0|0] "" X')
                 bit += 16
     signals.append(f'Valid : {bit}|8@1+ (1,0) [0|0] "" X')

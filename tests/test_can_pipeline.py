@@ -100,7 +100,7 @@ def test_a_controller_that_begins_again_starts_a_new_realisation(tmp_path):
 
 
 def test_a_wild_counter_moves_nothing(tmp_path):
-    """Kills a single damaged frame (no checksum guards it here) that closes realisations or takes a sample's place."""
+    """Kills a damaged frame (no checksum guards it here) that closes realisations or takes another's place."""
     run, frames = plan(3)
     text = can_rigs.one_frame(2, crc=0)
     mapping = can_rigs.mapping(tmp_path, run, text)

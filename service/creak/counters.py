@@ -148,7 +148,8 @@ class Tracker:
 
     def near(self, counts: Whole, wraps: int) -> Whole:
         """Place of samples that another counter counts beside the leading one: the nearest to the newest."""
-        return self._nearest(counts, wraps)
+        places: Whole = self._nearest(counts, wraps)
+        return places
 
     def place(self, counts: Whole, markers: Whole, times: Whole) -> Iterator[Placed | Resumed | Waiting]:
         """Place frames of the leading message.

@@ -145,14 +145,18 @@ class Monitor:
             return [] if isinstance(done, Conflict) else list(done)
         if isinstance(item, Fault):
             faults = self._collector.lose(item)
-            return [*self._note(item, *faults), *self._left_out(faults)]
+            outcomes = self._note(item, *faults)
+            if item.kind in quality.STOPPING:
+                self._quality, changes = quality.stopped(self._quality, self.run, max(item.time, self._time))
+                outcomes += changes
+            return [*outcomes, *self._left_out(faults)]
         collected = self._collector.take(item)
         if collected.frame.status is FrameStatus.TRANSIENT:
             self._transient += 1
         else:
             self._steady += 1
         self._watch.take(collected.frame)
-        outcomes: list[Outcome] = [collected.frame, *self._note(*collected.faults)]
+        outcomes = [collected.frame, *self._note(*collected.faults)]
         if not any(fault.kind in _TIMELESS for fault in collected.faults):
             self._quality, changes = quality.frame(self._quality, self.run, collected.frame)
             outcomes += [*changes, *self._advance(item.time + round(self.run.rig.period_ns))]

@@ -243,6 +243,7 @@ class FaultKind(StrEnum):
     CORRUPTED = "corrupted"  # a frame of a bus that is too short or has a wrong checksum
     RESTARTED = "restarted"  # a controller that began again
     SILENT = "silent"  # a rig that sends nothing
+    BUS_ERROR = "bus-error"  # error frames on a bus
     BUS_OFF = "bus-off"  # a bus with too many errors, which its interface has left
     DISCONNECTED = "disconnected"  # an interface that cannot be read
 

@@ -19,6 +19,9 @@ from creak.records import Complex, FaultKind, Frame, Real, Run
 SPOILING = {FaultKind.INCOMPLETE, FaultKind.SINGULAR}
 """Faults that say that a realisation was left out."""
 
+STOPPING = {FaultKind.SILENT, FaultKind.BUS_OFF, FaultKind.DISCONNECTED}
+"""Faults after which no samples come: a source that sees them need not wait for a deadline."""
+
 _STUCK_SHARE = 0.005  # of the samples at one extreme value
 _STUCK_LEAST = 8
 _UNSETTLED_RATIO = 1.5
@@ -118,6 +121,11 @@ def clock(quality: Quality, run: Run, time: int) -> Stepped:
             quality, more = _demand(quality, run, condition, "", True, at)
             changes += more
     return quality, changes
+
+
+def stopped(quality: Quality, run: Run, time: int) -> Stepped:
+    """Take note of a source that says that nothing comes any more."""
+    return (quality, ()) if _stands(quality, "silence") else _demand(quality, run, "silence", "", True, time)
 
 
 def frame(quality: Quality, run: Run, taken: Frame) -> Stepped:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import typer
 
-from creak.cli import bench, excitation, keys, paper, recordings, service
+from creak.cli import bench, excitation, keys, paper, recordings, rig, service
 from creak.errors import CreakError, InputError
 
 # typer carries a click of its own and exports this one of its errors; what it derives from are all the others.
@@ -24,6 +24,7 @@ bench.add_to(app)
 paper.add_to(app)
 excitation.add_to(app)
 keys.add_to(app)
+rig.add_to(app)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

@@ -88,24 +88,46 @@ def simulate(
 def import_(
     *,
     files: Annotated[
-        list[Path], typer.Argument(help="One .npz or .mat; or UFF 58 or CSV, one experiment a file.")
+        list[Path],
+        typer.Argument(help="One .npz or .mat; or UFF 58 or CSV, one experiment a file; or CAN logs, with --dbc."),
     ],
     rig: RigFile,
     output: Output,
-    start: Annotated[str, typer.Option(help="Recorded time of the first sample, ISO 8601.")] = "1970-01-01",
+    start: Annotated[
+        str | None, typer.Option(help="Recorded time of the first sample, ISO 8601; the epoch.")
+    ] = None,
+    dbc: Annotated[
+        Path | None, typer.Option("--dbc", help="The files are CAN logs, described by this DBC.")
+    ] = None,
+    signals: Annotated[
+        Path | None, typer.Option("--signals", help="TOML with the keys of [rigs.source.signals], beside --dbc.")
+    ] = None,
+    steady_periods: Annotated[
+        int, typer.Option("--steady-periods", min=1, help="Of a CAN log's experiments, after the transient ones.")
+    ] = 2,
     excitation: Annotated[
         Path | None, typer.Option(help="What the generator was to play (.npz, .mat); other inputs are refused.")
     ] = None,
 ) -> None:
-    """Make a recording from measured data.
+    """Make a recording from measured data, or from CAN logs (BLF, ASC, TRC, candump, MF4).
 
     Example: `creak import measured.npz --rig rig.toml --output measured.mcap`
     """
+    if dbc is not None:
+        if start is not None:
+            raise InputError("--start: is not allowed beside --dbc: a CAN log has times of its own")
+        from creak.cli.canlogs import open_logs
+
+        can_source = open_logs(files, dbc, signals, load_rig(rig), steady_periods, typer.echo)
+        _record(can_source, output, None, "importing")
+        return
+    if signals is not None:
+        raise InputError("--signals: is not allowed without --dbc")
     from creak.sources.measurement import Measurement, read_excitation, read_measurement
     from creak.sources.measurement_checks import check_excitation
 
     measured = load_rig(rig)
-    begin = _start(start)
+    begin = _start("1970-01-01" if start is None else start)
     u, y = read_measurement(files, measured)
     if excitation is not None:
         check_excitation(u, read_excitation(excitation), measured, str(files[0]), str(excitation))
@@ -213,7 +235,7 @@ def _too_few_windows(run: Run, newest: _Newest) -> Iterator[str]:
         )
 
 
-def _record(source: Source, output: Path, frames: int, label: str) -> None:
+def _record(source: Source, output: Path, frames: int | None, label: str) -> None:
     """Drive a source into a recording that appears under its name only when it is whole."""
     newest = _Newest()
     with whole_file(output) as unfinished:

@@ -19,9 +19,11 @@ import typer
 
 from creak.api import Server, create_app, listen_on
 from creak.api.access import Access
+from creak.cli.canlibraries import can_support
 from creak.cli.display import LiveLevels
 from creak.cli.recordings import replay_line
 from creak.codec import memory_of
+from creak.config.can import CanSource
 from creak.config.model import load_model
 from creak.config.rig import load_rig
 from creak.config.service import (
@@ -79,7 +81,10 @@ def serve(config: Annotated[Path, typer.Argument(help="Service file (creak.toml)
             raise ConfigurationError(
                 str(config), f"rigs[{index}].rig", f"{name!r} stands twice; rigs have unique names"
             )
-    sources = [_source(table, rig) for table, rig in zip(settings.rigs, rigs, strict=True)]
+    sources = [
+        _source(table, rig, str(config), f"rigs[{index}].source")
+        for index, (table, rig) in enumerate(zip(settings.rigs, rigs, strict=True))
+    ]
     with closing(listen_on(settings.server.host, settings.server.port)) as listener:
         return _run(settings, sources, listener, [[] for _ in sources])
 
@@ -165,16 +170,22 @@ def _empty_store(settings: ServiceSettings) -> None:
             (settings.data / f"creak.db{suffix}").unlink(missing_ok=True)
 
 
-def _source(table: RigTable, rig: Rig) -> Source:
-    """The source of one rig of the service file, its run with the rules of that file."""
-    source = _opened(table, rig)
+def _source(table: RigTable, rig: Rig, file: str, key: str) -> Source:
+    """The source of one rig of the service file, its run with the rules of that file; file and key say where it stands."""
+    source = _opened(table, rig, file, key)
     source.run = replace(source.run, alarms=table.alarms.rules(), baseline=table.baseline.rules(table.window))
     return source
 
 
-def _opened(table: RigTable, rig: Rig) -> Source:
+def _opened(table: RigTable, rig: Rig, file: str, key: str) -> Source:
     if isinstance(table.source, SimulatedSource):
         return _simulated(table, rig)
+    if isinstance(table.source, CanSource):
+        limits = table.limits.limits()
+        live: Source = can_support().open_can(
+            table.source, rig, window=table.window, limits=limits, file=file, key=key
+        )
+        return live
     if isinstance(table.source, RecordingSource):
         recording = Recording(*table.source.files)
         if replace(recording.run.rig, grid=rig.grid) != rig:

@@ -15,6 +15,7 @@ from pydantic_settings import (
 )
 
 from creak.config.alarms import AlarmsTable, BaselineTable, LimitsTable
+from creak.config.can import CanSource
 from creak.config.fields import Count, Positive, Strict
 from creak.config.validation import explain, parse_toml, read_text
 from creak.errors import ConfigurationError
@@ -84,14 +85,16 @@ class ForeignSource(Strict):
     """``[rigs.source]`` of a kind that this version does not read yet."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
-    kind: Literal["can", "stream"]
+    kind: Literal["stream"]
 
     @model_validator(mode="after")
     def _refuse(self) -> Self:
-        raise ValueError(f"kind: {self.kind!r} is not read by this version: should be 'simulated' or 'recording'")
+        raise ValueError(
+            f"kind: {self.kind!r} is not read by this version: should be 'simulated', 'can' or 'recording'"
+        )
 
 
-SourceTable = Annotated[SimulatedSource | RecordingSource | ForeignSource, Field(discriminator="kind")]
+SourceTable = Annotated[SimulatedSource | CanSource | RecordingSource | ForeignSource, Field(discriminator="kind")]
 
 
 class RigTable(Strict):
@@ -217,5 +220,7 @@ def _anchored_rig(rig: RigTable, base: Path) -> RigTable:
     source = rig.source
     if isinstance(source, RecordingSource):
         source = source.model_copy(update={"files": [base / file for file in source.files]})
+    if isinstance(source, CanSource):
+        source = source.anchored(base)
     model = None if rig.model is None else base / rig.model
     return rig.model_copy(update={"rig": base / rig.rig, "model": model, "source": source})

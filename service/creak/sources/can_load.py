@@ -11,7 +11,9 @@ def padded(length: int) -> int:
     return next(possible for possible in _DATA_LENGTHS if possible >= length)
 
 
-def frame_seconds(length: int, *, extended: bool, fd: bool, bitrate: float, data_bitrate: float) -> float:
+def frame_seconds(
+    length: int, *, extended: bool, fd: bool, bitrate: float, data_bitrate: float, stuffed: bool = True
+) -> float:
     """Longest time that one frame takes on the bus, the space after it included.
 
     Parameters
@@ -24,16 +26,18 @@ def frame_seconds(length: int, *, extended: bool, fd: bool, bitrate: float, data
         CAN FD with bit rate switch.
     bitrate, data_bitrate : float
         Bits a second of arbitration and data phase; the latter counts for CAN FD only.
+    stuffed : bool
+        False for the shortest time instead: a frame without stuff bits, but for those of the CRC.
     """
     if not fd:
         stuffable = (54 if extended else 34) + 8 * length
-        return (stuffable + (stuffable - 1) // 4 + 13) / bitrate
+        return (stuffable + ((stuffable - 1) // 4 if stuffed else 0) + 13) / bitrate
     payload = padded(length)
     # SOF, identifier, RRS or SRR and IDE, FDF, res, BRS with stuff bits; CRC delimiter, ACK, EOF, intermission.
     arbitration = 36 if extended else 17
-    slow = arbitration + (arbitration - 1) // 4 + 1 + 2 + 7 + 3
+    slow = arbitration + ((arbitration - 1) // 4 if stuffed else 0) + 1 + 2 + 7 + 3
     # ESI, DLC and payload are stuffed as they come; stuff count and CRC have a fixed stuff bit every fourth bit.
     stuffable = 5 + 8 * payload
     crc = 21 if payload > 16 else 17
-    fast = stuffable + stuffable // 4 + 4 + crc + (4 + crc + 3) // 4
+    fast = stuffable + (stuffable // 4 if stuffed else 0) + 4 + crc + (4 + crc + 3) // 4
     return slow / bitrate + fast / data_bitrate

@@ -105,7 +105,7 @@ def map_signals(database: Database, source: CanSource, run: Run, file: str, key:
         One line: a signal that the DBC lacks, a node without one, no excitation, a counter that is too short,
         a rate that the bus cannot carry.
     """
-    return _Resolver(database, source.signals, run, file, f"{key}.signals").mapping(source, key)
+    return _Resolver(database, source.signals, run, file, f"{key}.signals" if key else "").mapping(source, key)
 
 
 class _Resolver:
@@ -161,10 +161,13 @@ class _Resolver:
         return CanMapping(tuple(parts), leading, tuple(signal for _, signal in markers), counting, checksums)
 
     def _wrong(self, key: str, problem: str) -> ConfigurationError:
-        return ConfigurationError(self._file, f"{self._key}.{key}", problem)
+        return ConfigurationError(self._file, self._path(key), problem)
+
+    def _path(self, key: str) -> str:
+        return f"{self._key}.{key}" if self._key else key
 
     def _find(self, name: str, key: str) -> tuple[Message, Signal]:
-        return self._database.signal(name, f"{self._key}.{key}", self._file)
+        return self._database.signal(name, self._path(key), self._file)
 
     def _channels(self) -> Iterator[tuple[int, Message, tuple[Signal, ...]]]:
         """Every channel with its message and its samples."""

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import cantools
+import cantools.database
 import numpy as np
+from cantools.database.errors import Error as CantoolsError
 from numpy.typing import NDArray
 
 from creak.errors import ConfigurationError
@@ -205,13 +206,13 @@ class Database:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self.cantools: Any = cantools.database.load_file(path, database_format="dbc", strict=True)
+            read: Any = cantools.database.load_file(path, database_format="dbc", strict=True)
         except OSError as error:
             raise ConfigurationError(str(path), "", f"cannot be read: {error.strerror}") from None
-        except (cantools.database.Error, UnicodeDecodeError, ValueError, AttributeError, KeyError) as error:
+        except (CantoolsError, UnicodeDecodeError, ValueError, AttributeError, KeyError) as error:
             reason = " ".join(str(error).split()).removeprefix("DBC: ").strip('"') or type(error).__name__
             raise ConfigurationError(str(path), "", f"cannot be used as a DBC: {reason}") from None
-        self.messages = {message.name: _message(message) for message in self.cantools.messages}
+        self.messages = {message.name: _message(message) for message in read.messages}
 
     def signal(self, name: str, key: str, source: str) -> tuple[Message, Signal]:
         """Find a signal by ``Message.Signal``, or by its own name if that is the only one.

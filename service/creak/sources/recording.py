@@ -17,7 +17,18 @@ from creak.records import AlarmChange, Estimate, Fault, FaultKind, Frame, FrameS
 from creak.sources.salvage import Gap, Whole, is_mcap, salvage
 
 # What a source or the worker reports; every other fault is the monitor's finding, which a replay finds again.
-_REPORTED = {FaultKind.LOST, FaultKind.DAMAGED, FaultKind.STORAGE}
+_REPORTED = {
+    FaultKind.LOST,
+    FaultKind.DAMAGED,
+    FaultKind.STORAGE,
+    FaultKind.CORRUPTED,
+    FaultKind.RESTARTED,
+    FaultKind.SILENT,
+    FaultKind.BUS_ERROR,
+    FaultKind.BUS_OFF,
+    FaultKind.DISCONNECTED,
+}
+_OF_SAMPLES = {FaultKind.DOUBLED, FaultKind.LATE, FaultKind.OUT_OF_PLAN}  # reported if they name no period
 
 _Recorded = Frame | Fault | Estimate | AlarmChange
 _RECORDED = {"Frame", "Fault", "Estimate", "AlarmChange"}
@@ -95,7 +106,9 @@ class Recording:
                 yield replace(record, status=FrameStatus.ACCEPTED, reason="")
             elif isinstance(record, _Damage):
                 yield record.fault
-            elif isinstance(record, Fault) and record.kind in _REPORTED:
+            elif isinstance(record, Fault) and (
+                record.kind in _REPORTED or (record.kind in _OF_SAMPLES and record.period is None)
+            ):
                 yield record
             elif isinstance(record, AlarmChange):
                 yield Clock(record.time)
