@@ -279,17 +279,17 @@ def main():
     if "--figure" in sys.argv:
         draw(found, sys.argv[sys.argv.index("--figure") + 1])
     if "--json" in sys.argv:
-        print(json.dumps({"rates": results, "detection": detection}, indent=1))  # noqa: T201
+        print(json.dumps({"rates": results, "detection": detection}, indent=1))
         return
     for kind, rows in results.items():
-        print(kind)  # noqa: T201
+        print(kind)
         for row in rows:
-            print(  # noqa: T201
+            print(
                 f"  {row['test']:15s} {row['level']:6.3f}: {row['rate']:8.5f} of {row['tests']:7d}, "
                 f"bounds {row['low']:.5f} to {row['high']:.5f}, {row['where']}"
             )
     for ratio, row in detection.items():
-        print(f"  {ratio:6.1f} dB: " + ", ".join(f"{key} {value:.3f}" for key, value in row.items()))  # noqa: T201
+        print(f"  {ratio:6.1f} dB: " + ", ".join(f"{key} {value:.3f}" for key, value in row.items()))
 
 
 if __name__ == "__main__":

@@ -116,7 +116,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--frames", type=int, default=120_000)
     figures = measure(parser.parse_args(arguments).frames)
-    print(json.dumps(figures, indent=1))  # noqa: T201
+    print(json.dumps(figures, indent=1))
     return 0 if all(each["times_bus"] >= 10 for each in figures.values()) else 1
 
 

@@ -144,7 +144,7 @@ def main(arguments=None):
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args(arguments)
     figures = measure(given.faults, given.seed)
-    print(json.dumps(figures, indent=1))  # noqa: T201
+    print(json.dumps(figures, indent=1))
     return 1 if figures["differing"] else 0
 
 

@@ -229,9 +229,9 @@ def main(arguments):
     if figure is not None:
         draw(found, figure)
     if "--json" in arguments:
-        print(json.dumps([f.row() for f in found]))  # noqa: T201
+        print(json.dumps([f.row() for f in found]))
     else:
-        print(table(found))  # noqa: T201
+        print(table(found))
 
 
 if __name__ == "__main__":

@@ -172,7 +172,7 @@ def main():
             exact[group] += case.exact
             sure[group] += all(e.separable for e in case.found)
         if "--wrong" in sys.argv and not case.exact:
-            print(seed, case)  # noqa: T201
+            print(seed, case)
     table = {
         g: {
             "cases": groups[g],
@@ -183,11 +183,11 @@ def main():
         for g in groups
     }
     if "--json" in sys.argv:
-        print(json.dumps(table, indent=1))  # noqa: T201
+        print(json.dumps(table, indent=1))
         return
     for group, row in table.items():
         shares = ", ".join(f"{key} {row[key]:.1%}" for key in ("right", "exact", "separable"))
-        print(f"{group:16s} {row['cases']:4d} cases: {shares}")  # noqa: T201
+        print(f"{group:16s} {row['cases']:4d} cases: {shares}")
 
 
 if __name__ == "__main__":

@@ -124,7 +124,7 @@ def compare(path):
             size = np.abs(theirs).max(axis=(1, 2))
             worst = float((np.abs(ours - theirs).max(axis=(1, 2)) / size).max())
             failed += worst > TOLERANCE
-            print(f"{name:8s}{what:30s}{worst:.1e} {'DIFFERS' if worst > TOLERANCE else 'agrees'}")  # noqa: T201
+            print(f"{name:8s}{what:30s}{worst:.1e} {'DIFFERS' if worst > TOLERANCE else 'agrees'}")
     return failed
 
 

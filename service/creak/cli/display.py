@@ -1,6 +1,5 @@
 """What commands show on a terminal: progress while they run, tables when they are done."""
 
-import math
 from typing import Any
 
 from rich.console import Console, Group
