@@ -118,8 +118,8 @@ def test_silence_and_bus_off_raise_a_quality_alarm_that_the_next_period_clears(s
     monitor = Monitor(RUN)
     changes = [c for item in out for c in monitor.take(item) if isinstance(c, AlarmChange)]
     assert [(c.class_, c.node, c.event, c.active) for c in changes[:2]] == [
-        ("quality", "*", "raised", True),
-        ("quality", "*", "cleared", False),
+        ("quality", "", "raised", True),
+        ("quality", "", "cleared", False),
     ]
     assert set(monitor.alarms) == {"1", "2"}
 
