@@ -57,7 +57,8 @@ def make_spectra(rig, rng):
     powers = rng.exponential(1e-9, (7, len(rig.lines), rig.n))
     powers[:, 0, 0] = np.nan  # a quantity that is not available
     powers[3, -1, -1] = 0.0
-    return Spectra(rig.frequencies, *powers)
+    probabilities = rng.random((3, len(rig.lines), rig.n))
+    return Spectra(rig.frequencies, *powers, *probabilities)
 
 
 def make_estimate(run, realisation, scope=Scope.WINDOW, ratio=0.0, rng=None, elements=()):

@@ -91,7 +91,7 @@ estimates = st.builds(
     experiments=whole,
     periods=whole,
     nodes=st.lists(levels, max_size=3).map(tuple),
-    spectra=st.builds(Spectra, *[samples] * 8),
+    spectra=st.builds(Spectra, *[samples] * 8, *[st.none() | samples] * 3),
     located=st.booleans(),
     elements=st.lists(
         st.builds(ElementShare, st.tuples(text, text), number, number, st.booleans()), max_size=2

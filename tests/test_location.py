@@ -1,5 +1,8 @@
 """Elements between nodes: found where they are, said to be ambiguous where they are, and never invented."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,6 +10,7 @@ from hypothesis import strategies as st
 
 from bench.bench_location import study
 from conftest import make_rig, random_spectra
+from creak.cli import run
 from creak.location import locate
 from test_network import run_of
 
@@ -105,6 +109,23 @@ def test_units_of_the_nodes_do_not_matter(rng):
     # In other units S^-1 R is the same force: inputs are what forces are measured in.
     assert [e.between for e in a] == [e.between for e in b] == [("2", "3")]
     np.testing.assert_allclose([e.share for e in a], [e.share for e in b], rtol=1e-6)
+
+
+def test_replay_says_between_which_points(tmp_path, capsys):
+    """End to end. Kills elements that the monitor, the codec or the command leaves behind."""
+    example = Path(__file__).parents[1] / "deploy" / "examples" / "three-mass"
+    made = str(tmp_path / "made.mcap")
+    arguments = ["--rig", str(example / "rig.toml"), "--realisations", "3", "--rms", "50", "--snr-db", "40"]
+    assert run(["simulate", "--model", str(example / "model.toml"), *arguments, "--output", made]) == 0
+    capsys.readouterr()
+    assert run(["replay", made, "--json"]) == 0
+    (element,) = json.loads(capsys.readouterr().out)["elements"]
+    assert element["between"] == ["3", "ground"]
+    assert element["separable"] is True
+    assert 0.99 < element["share"] <= 1
+    assert 0.99 < element["confidence"] <= 1
+    assert run(["replay", made]) == 0
+    assert "distortion acts between node 3 and the ground: share 1" in capsys.readouterr().out
 
 
 def test_simulated_springs_friction_and_gaps_are_found():

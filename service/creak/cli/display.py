@@ -179,6 +179,19 @@ def detection_table(levels: list[dict[str, Any]]) -> Table:
     return table
 
 
+def element_line(element: dict[str, Any]) -> str:
+    """Say between which points distortion acts.
+
+    Parameters
+    ----------
+    element : dict
+        With the keys of ``replay --json``'s elements.
+    """
+    ends = " and ".join("the ground" if end == "ground" else f"node {end}" for end in element["between"])
+    sure = f"confidence {element['confidence']:.3g}" if element["separable"] else "not separable from others"
+    return f"distortion acts between {ends}: share {element['share']:.3g}, {sure}"
+
+
 def _decibel(value: float | None) -> str:
     return "–" if value is None else f"{value:.1f}"
 

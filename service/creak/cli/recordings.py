@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from creak.cli.display import ProgressBar, console, detection_table, level_table
+from creak.cli.display import ProgressBar, console, detection_table, element_line, level_table
 from creak.codec import parse_time, summary_json
 from creak.config.rig import load_rig
 from creak.errors import ConfigurationError, InputError
@@ -171,6 +171,8 @@ def replay(
         highlight=False,
     )
     out.print(level_table(document["nodes"], "whole run"))
+    for element in document["elements"]:
+        out.print(element_line(element), highlight=False, soft_wrap=True)
     if document["detection"]:
         out.print(detection_table(document["detection"]))
     for sentence in (*document["unavailable"], *document["remarks"]):

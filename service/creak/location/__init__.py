@@ -15,6 +15,9 @@ with the gain of a place b, ``b^T H b / b^T J b``: its force power over what noi
 no force. To take elements out, ``J`` is replaced by its Schur complement, which is ``J`` of the directions that
 are left.
 
+That takes the same force for the same input at all driven nodes; with unequal force constants an element between
+two nodes looks like two of the triangle that they make with the ground.
+
 Nodes and ground are the vertices of a graph, elements its edges. Edges that close a circle are linearly
 dependent, so the data determine the *partition* of the vertices into connected parts, not the edges within a part
 of three or more vertices ("closed triangles"). There, the edges are chosen whose forces are least correlated, and
