@@ -78,6 +78,7 @@ runs = st.builds(
     software=text,
     alarms=st.builds(AlarmRules, number, number, perhaps, number, perhaps, number),
     baseline=st.builds(BaselineRules, whole, number, number, perhaps),
+    before=st.binary(max_size=20),
 )
 frames = st.builds(Frame, whole, whole, whole, whole, samples, samples, st.sampled_from(FrameStatus), text)
 faults = st.builds(Fault, st.sampled_from(FaultKind), whole, text, index, index, index)

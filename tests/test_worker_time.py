@@ -5,12 +5,13 @@ import time
 from dataclasses import replace
 
 from conftest import make_frames, make_rig, make_run
-from creak.alarm_records import Action, ActionKind, AlarmRules
+from creak.alarm_records import Action, ActionKind, AlarmRules, BaselineRules
 from creak.monitor import Monitor
-from creak.records import AlarmChange, Counts, RunEnd, RunStatus
+from creak.records import AlarmChange, Counts, Estimate, RunEnd, RunStatus
 from creak.sinks.recorder import Recorder
 from creak.sources.recording import Recording
 from creak.worker import Worker, drive
+from recorded import exact
 
 RIG = make_rig(2, samples=128, lines=range(2, 40))
 RUN = replace(make_run(RIG, window=2, start=10**18), alarms=AlarmRules(silence_s=0.6, stale_realisations=1000))
@@ -96,3 +97,51 @@ def test_the_loop_replays_what_operators_did(tmp_path):
     again, _ = drive(Recording(tmp_path / "run.mcap"), [kept])
     assert [repr(c) for c in kept.changes] == [repr(c) for c in live]
     assert again.alarms["2"] == "acknowledged"
+
+
+class Frames:
+    """Frames of a run that is over."""
+
+    live = False
+
+    def __init__(self, run, frames):
+        self.run = run
+        self._frames = frames
+
+    def frames(self):
+        yield from self._frames
+
+    def close(self):
+        pass
+
+
+class Everything(Kept):
+    """Sink that keeps estimates too."""
+
+    def take(self, record):
+        if isinstance(record, AlarmChange | Estimate):
+            self.changes.append(record)
+
+
+def test_the_recording_of_a_run_after_a_restart_replays_to_the_same(tmp_path):
+    """Kills a replay that begins with an empty window, no alarms and no baseline where the run did not."""
+    rules = BaselineRules(realisations=8)
+    first = replace(RUN, baseline=rules)
+    second = replace(first, id="after", start=first.start + 10**12)
+    before = Monitor(first)
+    for frame in make_frames(first, 12, cubic=9):
+        before.take(frame)
+    live, recorder = Everything(), Recorder(tmp_path / "after.mcap")
+    source = Frames(second, make_frames(second, 6, seed=1, cubic=3))
+    worker = Worker(source, [live, recorder], memory=before.memory)
+    worker.start()
+    worker._thread.join(20)
+    assert worker.error is None
+    again = Everything()
+    drive(Recording(tmp_path / "after.mcap"), [again])
+    assert exact(again.changes) == exact(live.changes)
+    first_window = next(e for e in live.changes if isinstance(e, Estimate))
+    assert first_window.realisations == 2
+    alone = Everything()
+    drive(Frames(second, make_frames(second, 6, seed=1, cubic=3)), [alone])
+    assert exact(alone.changes) != exact(live.changes)

@@ -163,6 +163,9 @@ class Run:
         Version of creak.
     alarms : AlarmRules
     baseline : BaselineRules
+    before : bytes
+        What the monitor knew when the run began (:func:`creak.codec.memory_bytes`), so that a replay of a run
+        after a restart begins where it began; empty for nothing.
     """
 
     id: str
@@ -176,6 +179,7 @@ class Run:
     software: str = ""
     alarms: AlarmRules = field(default_factory=AlarmRules)
     baseline: BaselineRules = field(default_factory=BaselineRules)
+    before: bytes = b""
 
     @property
     def periods(self) -> int:

@@ -10,10 +10,10 @@ import queue
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from creak.alarm_records import Action, Clock, Conflict
-from creak.codec import memory_bytes
+from creak.codec import memory_bytes, memory_of
 from creak.errors import CreakError, StorageError
 from creak.monitor import Memory, Monitor, Outcome
 from creak.records import AlarmChange, Counts, Estimate, Fault, FaultKind, Frame, FrameStatus, RunEnd, RunStatus
@@ -46,6 +46,10 @@ class _Path:
         desk: Desk | None = None,
         memory: Memory | None = None,
     ) -> None:
+        if memory is not None:  # what a run begins with belongs to its recording, or a replay would differ
+            source.run = replace(source.run, before=memory_bytes(memory))
+        elif source.run.before:
+            memory = memory_of(source.run.before)
         self.monitor = Monitor(source.run, memory)
         self._desk = desk
         self._sinks: list[Sink] = []

@@ -1,8 +1,8 @@
 """Kill -9 at random moments: a process that raises alarms and one that delivers them; nothing may be lost.
 
-Each round starts one process that does both on the same store, kills it after a random time, and notes which changes
-it had reported as written. At the end a last deliverer empties the outbox; every reported change must have arrived
-under one id, and every id with one body.
+Each round starts one process that does both on one store, kills it after a random time, and notes which
+changes it had reported as written. At the end a last deliverer empties the outbox; every reported change must have
+arrived, and every id with one body.
 """
 
 import argparse
@@ -98,10 +98,10 @@ def main():
     options = parser.parse_args()
     result = measure(options.kills)
     if options.json:
-        print(json.dumps(result))
+        print(json.dumps(result))  # noqa: T201
     else:
         for name, value in result.items():
-            print(f"{name:28}{value}")
+            print(f"{name:28}{value}")  # noqa: T201
 
 
 if __name__ == "__main__":

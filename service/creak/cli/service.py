@@ -250,7 +250,7 @@ def _run(
     workers = [
         Worker(
             source,
-            [desk, CataloguedRecorder(recorder, store), *more],
+            [desk, CataloguedRecorder(recorder, store, desk.do), *more],
             desk=desk,
             memory=_memory(store, source.run),
         )

@@ -295,7 +295,13 @@ _CLASSES: dict[str, Any] = {
     )
 }
 _ATTRIBUTES = {"class": "class_"}  # the message's word is a keyword of Python
-_SCALARS: dict[str, Callable[[Any], Any]] = {"int64": int, "double": float, "bool": bool, "string": str}
+_SCALARS: dict[str, Callable[[Any], Any]] = {
+    "int64": int,
+    "double": float,
+    "bool": bool,
+    "string": str,
+    "bytes": bytes,
+}
 _MAY_LACK = {("Rig", "network")}
 _CAME_LATER = {("Run", "alarms"), ("Run", "baseline")}
 _TO_MESSAGE: dict[tuple[str, str], Callable[[Any], Any]] = {

@@ -75,6 +75,7 @@ LAYOUT: Final[dict[str, dict[str, str]]] = {
         "part": "int64",
         "alarms": "AlarmRules",
         "baseline": "BaselineRules",
+        "before": "bytes",
     },
     "Frame": {
         "time": "int64",
@@ -225,6 +226,7 @@ def _describe() -> descriptor_pb2.FileDescriptorProto:
         "double": field_type.TYPE_DOUBLE,
         "bool": field_type.TYPE_BOOL,
         "string": field_type.TYPE_STRING,
+        "bytes": field_type.TYPE_BYTES,
     }
     file = descriptor_pb2.FileDescriptorProto(name="creak.proto", package=_PACKAGE, syntax="proto3")
     for name, fields in LAYOUT.items():

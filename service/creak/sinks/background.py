@@ -144,6 +144,10 @@ class BackgroundStore:
         """
         self._add(lambda: self._sink.save(recorded, pack()), must=False)
 
+    def do(self, job: Job) -> None:
+        """Queue whatever else is to be written, tried until it is."""
+        self._add(job, must=True)
+
     def _add(self, job: Job, *, must: bool) -> None:
         with self._news:
             if len(self._jobs) >= self._limit and not must:

@@ -1,6 +1,8 @@
 """Recorder whose files the store lists."""
 
 import logging
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from creak.errors import StorageError
@@ -12,6 +14,8 @@ from creak.sinks.store import RecordingEntry, put_recording
 
 _log = logging.getLogger(__name__)
 
+_GUIDANCE = "Monitoring goes on, but nothing is recorded. Make room and start the service anew."
+
 
 class CataloguedRecorder:
     """Hands every record to a recorder and keeps the store's list of recordings true.
@@ -20,11 +24,17 @@ class CataloguedRecorder:
     ----------
     recorder : Recorder
     store : Store
+    later : callable, optional
+        Does a job elsewhere (`BackgroundStore.do`), so that a store that is locked does not hold up the recording;
+        the start and the end of the recording are listed at once all the same.
     """
 
-    def __init__(self, recorder: Recorder, store: Store) -> None:
+    def __init__(
+        self, recorder: Recorder, store: Store, later: Callable[[Callable[[], None]], None] | None = None
+    ) -> None:
         self._recorder = recorder
         self._store = store
+        self._later = later or (lambda job: job())
         self._run: Run | None = None
         self._time = 0
         self._began: dict[Path, int] = {}
@@ -47,7 +57,7 @@ class CataloguedRecorder:
             self._tell(error)
             raise
         if len(self._recorder.paths) > parts or (isinstance(record, Estimate) and record.scope is Scope.RUN):
-            self._list("writing")
+            self._list("writing", self._later)
 
     def tick(self, now: float) -> None:
         """Give the recorder its turn."""
@@ -66,21 +76,18 @@ class CataloguedRecorder:
         if self._told or self._run is None:
             return
         self._told = True
-        try:
+        rig, now, reason = self._run.rig.name, self._time, str(error)
+
+        def write() -> None:
             with self._store.write() as connection:
-                raise_alarm(
-                    connection,
-                    self._run.rig.name,
-                    "",
-                    "storage",
-                    self._time,
-                    reason=str(error),
-                    guidance="Monitoring goes on, but nothing is recorded. Make room and start the service anew.",
-                )
+                raise_alarm(connection, rig, "", "storage", now, reason=reason, guidance=_GUIDANCE)
+
+        try:
+            self._later(write)
         except StorageError as trouble:
             _log.warning("%s: no alarm could be raised about it: %s", error, trouble)
 
-    def _list(self, status: str) -> None:
+    def _list(self, status: str, do: Callable[[Callable[[], None]], None] = lambda job: job()) -> None:
         assert self._run is not None
         paths = self._recorder.paths
         for number, path in enumerate(paths):
@@ -88,16 +95,14 @@ class CataloguedRecorder:
             start = self._began.setdefault(path, self._time)
             open_end = last and status == "writing"
             following = self._began.get(paths[number + 1], self._time) if not last else self._time
-            put_recording(
-                self._store,
-                RecordingEntry(
-                    id=path.stem,
-                    rig=self._run.rig.name,
-                    run=self._run.id,
-                    path=str(path),
-                    start=start,
-                    end=None if open_end else following,
-                    status=status if last else "complete",
-                    size=path.stat().st_size,
-                ),
+            entry = RecordingEntry(
+                id=path.stem,
+                rig=self._run.rig.name,
+                run=self._run.id,
+                path=str(path),
+                start=start,
+                end=None if open_end else following,
+                status=status if last else "complete",
+                size=path.stat().st_size,
             )
+            do(partial(put_recording, self._store, entry))

@@ -43,8 +43,8 @@ THINNINGS = (
 def thin_history(connection: sa.Connection, rules: Sequence[Thinning] = THINNINGS) -> int:
     """Thin the history of all rigs; return how many rows of levels were removed.
 
-    Of an interval the newest row of a node is kept as it was measured: a mean of dB would be nobody's level. What the
-    API shows as current is never touched, nor are alarms and their journal.
+    Of an interval the newest row of a node is kept as it was measured: a mean of dB would be nobody's level. What
+    the API shows as current is never touched, nor are alarms and their journal.
     """
     levels, estimates, removed = tables.levels, tables.estimates, 0
     newest = sa.select(levels.c.rig, sa.func.max(levels.c.time)).group_by(levels.c.rig)

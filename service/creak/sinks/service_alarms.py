@@ -1,4 +1,4 @@
-"""Alarms of class quality about the service itself, which no rig's monitor knows: operators act on them in the store."""
+"""Alarms of class quality about the service itself, which no rig's monitor knows."""
 
 import uuid
 from dataclasses import replace

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
-from creak.codec import element_json, fault_json, node_json, time_json
+from creak.codec import element_json, fault_json, memory_of, node_json, time_json
 from creak.config.rig import rig_toml
 from creak.records import (
     AlarmChange,
@@ -133,6 +133,8 @@ class StoreSink:
                 sa.update(tables.rigs).where(tables.rigs.c.name == self._rig).values(run=run.id)
             ).rowcount:
                 connection.execute(sa.insert(tables.rigs).values(name=self._rig, run=run.id))
+            if run.before:
+                _carry_over(connection, run)
             self._tell(connection, [("run", self._run_event(RUNNING, run.start))])
 
     def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
@@ -346,6 +348,16 @@ def _interrupt(connection: sa.Connection, rig: str) -> None:
         sa.update(runs)
         .where(runs.c.rig == rig, runs.c.status == RUNNING)
         .values(status=RunStatus.INTERRUPTED.value, message="its worker ended without closing it")
+    )
+
+
+def _carry_over(connection: sa.Connection, run: Run) -> None:
+    """Make the alarms that the monitor remembers those of the new run: what stood still stands."""
+    memory = memory_of(run.before)
+    known = {node.alarm.id for node in memory.nodes} | {alarm.id for alarm in memory.quality.alarms.values()}
+    alarms = tables.alarms
+    connection.execute(
+        sa.update(alarms).where(alarms.c.rig == run.rig.name, alarms.c.id.in_(known - {""})).values(run=run.id)
     )
 
 

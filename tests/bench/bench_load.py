@@ -1,0 +1,225 @@
+"""The service under load: three live rigs, reads at a steady rate, and trouble on every side.
+
+Phases: reads alone; then with a receiver of webhooks that never answers and a client of the event stream that
+never reads; then with the store locked by another program as well. Latency counts from the moment at which a request was
+due, so a service that falls behind cannot hide it.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import json
+import math
+import os
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from receiver import receiving
+
+_RIG = """
+name = "{name}"
+sample_rate = 1024.0
+period_samples = 1024
+transient_periods = 1
+band = [4.0, 200.0]
+[[nodes]]
+name = "1"
+input = "N"
+output = "m"
+[[nodes]]
+name = "2"
+input = "N"
+output = "m"
+"""
+_MODEL = """
+kind = "lumped"
+[[masses]]
+name = "1"
+mass = 1.0
+[[masses]]
+name = "2"
+mass = 1.0
+[[links]]
+between = ["ground", "1"]
+stiffness = 1e4
+damping = 60.0
+[[links]]
+between = ["1", "2"]
+stiffness = 2e4
+damping = 60.0
+[[effects]]
+effect = "cubic_stiffness"
+at = ["2", "ground"]
+coefficient = 1e10
+"""
+_NAMES = ("north", "south", "west")
+_PATHS = [
+    path
+    for name in _NAMES
+    for path in (f"/rigs/{name}", f"/rigs/{name}/nodes", f"/rigs/{name}/history?limit=20", "/alarms", "/rigs")
+]
+_CONNECTIONS = 16
+
+
+def _service(directory, port):
+    (directory / "model.toml").write_text(_MODEL)
+    text = ""
+    for name in _NAMES:
+        (directory / f"{name}.toml").write_text(_RIG.format(name=name))
+        text += f'[[rigs]]\nrig = "{name}.toml"\nmodel = "model.toml"\nwindow = 2\n'
+        text += '[rigs.source]\nkind = "simulated"\nrms = 20.0\nsteady_periods = 2\n'
+    (directory / "creak.toml").write_text(text)
+    environment = {**os.environ, "CREAK_SERVER__PORT": str(port), "CREAK_WEBHOOKS__ALLOW": '["127.0.0.0/8"]'}
+    command = [sys.executable, "-m", "creak.cli", "serve", "creak.toml"]
+    with open(directory / "log", "w") as log:
+        return subprocess.Popen(command, cwd=directory, env=environment, stderr=log, stdout=log)
+
+
+async def _ask(port, reader, writer, path, method="GET", body=b""):
+    head = f"{method} {path} HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\ncontent-length: {len(body)}\r\n"
+    writer.write(f"{head}content-type: application/json\r\n\r\n".encode() + body)
+    answer = await reader.readuntil(b"\r\n\r\n")
+    status = int(answer.split(b" ", 2)[1])
+    length = next(int(line[15:]) for line in answer.lower().split(b"\r\n") if line.startswith(b"content-length:"))
+    return status, await reader.readexactly(length)
+
+
+async def _one(port, path, method="GET", body=b""):
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        status, text = await _ask(port, reader, writer, path, method, body)
+        return status, json.loads(text)
+    finally:
+        writer.close()
+
+
+async def _reads(port, rate, seconds):
+    """Ask at a steady rate; latencies in seconds, and answers that were not 200."""
+    latencies, failures = [], 0
+    begun = time.monotonic()
+    numbers = iter(range(round(rate * seconds)))
+
+    async def client():
+        nonlocal failures
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        for number in numbers:
+            due = begun + number / rate
+            await asyncio.sleep(max(0.0, due - time.monotonic()))
+            status, _ = await _ask(port, reader, writer, "/api/v1" + _PATHS[number % len(_PATHS)])
+            latencies.append(time.monotonic() - due)
+            failures += status != 200
+        writer.close()
+
+    await asyncio.gather(*(client() for _ in range(_CONNECTIONS)))
+    latencies.sort()
+    at = lambda share: round(1000 * latencies[math.ceil(share * len(latencies)) - 1], 1)  # noqa: E731
+    return {
+        "requests": len(latencies),
+        "per_second": round(len(latencies) / (time.monotonic() - begun), 1),
+        "failures": failures,
+        "p50_ms": at(0.5),
+        "p99_ms": at(0.99),
+        "max_ms": at(1.0),
+    }
+
+
+async def _rigs(port):
+    _, document = await _one(port, "/api/v1/rigs")
+    return {item["name"]: item for item in document["items"]}
+
+
+@contextlib.asynccontextmanager
+async def _stalled_stream(port):
+    """A client of the event stream whose buffer is tiny and which never reads."""
+    client = socket.socket()
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
+    client.connect(("127.0.0.1", port))
+    client.sendall(f"GET /api/v1/events HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\nlast-event-id: 0\r\n\r\n".encode())
+    try:
+        yield
+    finally:
+        client.close()
+
+
+async def _lock(path, seconds):
+    """Hold the store as a backup or an administrator would."""
+    other = sqlite3.connect(path, isolation_level=None, timeout=30)
+    other.execute("BEGIN IMMEDIATE")
+    await asyncio.sleep(seconds)
+    other.execute("ROLLBACK")
+    other.close()
+
+
+async def _measure(port, directory, rate, seconds, blocked, stalled):
+    result = {}
+    end = time.monotonic() + 120
+    while True:
+        with contextlib.suppress(OSError):
+            if (await _one(port, "/readyz"))[0] == 200:
+                break
+        if time.monotonic() > end:
+            raise SystemExit((directory / "log").read_text())
+        await asyncio.sleep(0.2)
+    result["reads"] = await _reads(port, rate, seconds)
+    hook = json.dumps({"url": stalled.url}).encode()
+    await _one(port, "/api/v1/webhooks", "POST", hook)
+    async with _stalled_stream(port):
+        result["stalled receiver and stream"] = await _reads(port, rate, seconds)
+        before = await _rigs(port)
+        lock = asyncio.create_task(_lock(directory / "var" / "creak.db", blocked))
+        result["and the store locked"] = await _reads(port, rate, max(seconds, blocked + 5))
+        await lock
+    await asyncio.sleep(3)
+    after = await _rigs(port)
+    result["rigs"] = {
+        name: {
+            "frames": after[name]["frames"],
+            "rejected_frames": after[name]["rejected_frames"],
+            "faults": after[name]["faults"],
+            "frames while locked": after[name]["frames"] - before[name]["frames"],
+        }
+        for name in after
+    }
+    result["webhook attempts"] = len(stalled.received)
+    return result
+
+
+def measure(rate=200.0, seconds=20.0, blocked=10.0):
+    """Run all phases; figures of each, and what the rigs lost."""
+    with tempfile.TemporaryDirectory() as name, receiving(*[("stall", {"seconds": 30})] * 1000) as stalled:
+        directory = Path(name)
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        process = _service(directory, port)
+        try:
+            return asyncio.run(_measure(port, directory, rate, seconds, blocked, stalled))
+        finally:
+            process.send_signal(signal.SIGTERM)
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rate", type=float, default=200.0)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    result = measure(options.rate, options.seconds)
+    print(json.dumps(result, indent=None if options.json else 2))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()
