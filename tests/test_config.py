@@ -171,7 +171,7 @@ def test_a_wrong_variable_is_named(service_file, monkeypatch, variable, value, w
     [
         ("port = 8300", "port = 83000", ["server.port", "83000", "65535"]),
         ('kind = "simulated"', 'kind = "simulatd"', ["rigs[0].source", "simulatd", "simulated"]),
-        ('kind = "simulated"', 'kind = "can"', ["can", "not read by this version"]),
+        ('kind = "simulated"', 'kind = "stream"', ["can", "not read by this version"]),
         ('kind = "simulated"', 'kind = "simulated"\npase = 2', ["pase", "not a known key"]),
         ('model = "model.toml"', "", ["model", "simulated source needs one"]),
         ('model = "model.toml"', 'model = "m.toml"\nlimits = {windows = 2, exceeding = 3}', ["exceeding", "3"]),

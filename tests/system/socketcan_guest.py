@@ -1,7 +1,7 @@
 """Sender and acquisition in two processes on vcan0: what the virtual machine of test_socketcan.py runs.
 
-The acquisition is the service's own source and monitor; API and simulator stay outside, an emulated processor takes
-minutes to load them. Where the host has vcan0, test_can.py runs whole commands on it.
+The acquisition is the service's own source and monitor; API and simulator stay outside: an emulated processor
+takes minutes to load them. Where the host has vcan0, test_can.py runs whole commands on it.
 """
 
 import subprocess
@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import numpy as np
+import pytest
 
 import can_rigs
 from conftest import make_frames, make_rig, make_run
@@ -86,12 +87,11 @@ def receive():
     faults = [item for item in items if isinstance(item, Fault)]
     assert sorted(f.kind for f in faults) == [FaultKind.BUS_ERROR, FaultKind.LOST], faults
     assert monitor.counts.realisations == 3
-    try:
-        CanBus(RUN, mapping, source.model_copy(update={"channel": "can97"}), "creak.toml", "rigs[0].source")
-    except ConfigurationError as error:
-        assert "rigs[0].source.channel: 'can97' of socketcan cannot be opened: " in str(error)
-    else:
-        raise AssertionError("an interface that does not exist was opened")
+    absent = source.model_copy(update={"channel": "can97"})
+    with pytest.raises(
+        ConfigurationError, match=r"rigs\[0\]\.source\.channel: 'can97' of socketcan cannot be opened: "
+    ):
+        CanBus(RUN, mapping, absent, "creak.toml", "rigs[0].source")
     print("all periods but the lost one are the same")  # noqa: T201
 
 
