@@ -92,7 +92,7 @@ def test_an_interface_that_dies_is_opened_again_and_the_gap_is_named(source, tmp
     out = collect(bus, lambda o: sum(isinstance(i, Frame) for i in o) == 11)
     assert sum(isinstance(i, Frame) for i in out) == 11
     assert kinds(out) == [FaultKind.DISCONNECTED, FaultKind.LOST]  # said once, not at every attempt
-    assert [o.message for o in out if isinstance(o, Fault)][0].startswith("virtual x: device gone")
+    assert next(o.message for o in out if isinstance(o, Fault)).startswith("virtual x: device gone")
     assert [type(o) for o in out[:2]] == [Frame, Fault]  # in the order in which they happened
     assert [b.closed for b in opened] == [True, True]
 

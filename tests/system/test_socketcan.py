@@ -11,6 +11,7 @@ import canvm
 import pytest
 
 ROOT = Path(__file__).parents[2]
+GUEST = ROOT / "tests" / "system" / "socketcan_guest.py"
 TESTS = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--timeout=250"]
 TESTS += ["tests/system/test_can.py", "-k", "two_processes"]
 
@@ -37,16 +38,16 @@ def test_sender_and_service_over_the_kernels_socketcan():
     lacking = canvm.missing()
     if lacking:
         message = f"no SocketCAN in this kernel, and no virtual machine without the Debian packages: {lacking}"
-        if os.environ.get("CI") == "true":
+        if os.environ.get("CREAK_REQUIRE_SOCKETCAN"):  # set by .ci/run, which installs them
             pytest.fail(message)
         pytest.skip(message)
     cache = Path(os.environ.get("CREAK_CANVM", tempfile.gettempdir())) / "creak-canvm"
-    environment = {"CREAK_TEST_BUS": "vcan0", "PYTHONPATH": os.environ.get("PYTHONPATH", str(ROOT / "service"))}
+    environment = {"PYTHONPATH": os.environ.get("PYTHONPATH", str(ROOT / "service"))}
     before = os.getcwd()
     os.chdir(ROOT)
     try:
-        status, output = canvm.run(TESTS, cache, **environment)
+        status, output = canvm.run([sys.executable, str(GUEST)], cache, **environment)
     finally:
         os.chdir(before)
     assert status == 0, output[-4000:]
-    assert "1 passed" in output
+    assert "all periods but the lost one are the same" in output
