@@ -1,6 +1,5 @@
 """The one place where a record becomes bytes or JSON and back; schemas come from here."""
 
-from creak.codec.diagnosis_json import diagnosis_json
 from creak.codec.json_face import (
     alarm_json,
     element_json,
@@ -50,7 +49,6 @@ __all__ = [
     "decode",
     "decode_closing",
     "decode_opening",
-    "diagnosis_json",
     "element_json",
     "encode",
     "fault_json",
