@@ -23,6 +23,7 @@ FIXED_POINT_STEPS: Final = 60
 EQUIVALENT_STEPS: Final = 12
 NEWTON_STEPS: Final = 40
 KRYLOV_STEPS: Final = 80
+PATIENCE: Final = 6  # Newton steps that must at least halve the residual
 SHORTEST: Final = 1 / 128  # of a Newton step that is still tried
 
 
@@ -105,7 +106,7 @@ def _apply(matrix: Complex, lines: Complex) -> Complex:
 
 def equivalent(problem: Problem, k: Real, c: Real) -> Equivalent:
     """Prepare the map for given equivalent stiffnesses and dampings, ``(r,)`` each."""
-    law = k + problem.jw[:, None] * c
+    law = np.asarray(k + problem.jw[:, None] * c, dtype=np.complex128)
     free = np.linalg.inv(np.eye(len(k)) + problem.receptance * law[:, None, :])
     return Equivalent(law, free, free @ problem.receptance)
 
@@ -171,7 +172,9 @@ def fixed_point(problem: Problem, map_: Equivalent, D: Complex, tolerance: float
     rests: list[Real] = []
     before: tuple[Complex, Complex] | None = None
     begun = np.ones((len(D), 1, 1), dtype=bool)
-    for step in range(1, FIXED_POINT_STEPS + 1):
+    step = 0
+    while step < FIXED_POINT_STEPS:
+        step += 1
         rest = map_.image(problem, D) - D
         residual = distance(problem, rest, D)
         residual[~np.isfinite(residual)] = np.inf
@@ -215,7 +218,7 @@ def _flat(lines: Complex) -> Real:
 
 
 def newton(
-    problem: Problem, map_: Equivalent, D: Complex, which: int, tolerance: float
+    problem: Problem, map_: Equivalent, D: Complex, which: int, tolerance: float, krylov: int = KRYLOV_STEPS
 ) -> tuple[Complex, float, int]:
     """Newton's method on one experiment, its steps solved by GMRES with the laws' own slopes.
 
@@ -227,6 +230,8 @@ def newton(
     which : int
         Experiment.
     tolerance : float
+    krylov : int
+        Most products with the Jacobian a step.
 
     Returns
     -------
@@ -234,11 +239,11 @@ def newton(
     """
     rest = map_.image(problem, D, which) - D
     residual = float(distance(problem, rest, D))
-    step = 0
-    for step in range(1, NEWTON_STEPS + 1):
-        if not residual > tolerance:
+    past = [residual]
+    while residual > tolerance and len(past) <= NEWTON_STEPS:
+        if len(past) > PATIENCE and not residual < 0.5 * past[-PATIENCE - 1]:
             break
-        direction = _newton_direction(problem, map_, D, which, rest, min(0.1, residual))
+        direction = _newton_direction(problem, map_, D, which, rest, min(0.1, residual), krylov)
         share = 1.0
         while True:
             trial = D + share * direction
@@ -251,11 +256,12 @@ def newton(
             break
         D, rest = trial, new_rest
         residual = float(distance(problem, rest, D))
-    return D, residual, step
+        past.append(residual)
+    return D, residual, len(past)
 
 
 def _newton_direction(
-    problem: Problem, map_: Equivalent, D: Complex, which: int, rest: Complex, accuracy: float
+    problem: Problem, map_: Equivalent, D: Complex, which: int, rest: Complex, accuracy: float, krylov: int
 ) -> Complex:
     d, v = problem.motion(D, which)
     f = problem.forces(d, v)
@@ -274,5 +280,5 @@ def _newton_direction(
 
     operator = LinearOperator((d.size, d.size), matvec=jacobian, dtype=np.float64)
     right = (problem.samples(rest) / scale).ravel()
-    solution, _ = gmres(operator, right, rtol=accuracy, restart=KRYLOV_STEPS, maxiter=1)
+    solution, _ = gmres(operator, right, rtol=accuracy, restart=krylov, maxiter=1)
     return problem.lines(solution.reshape(shape) * scale)

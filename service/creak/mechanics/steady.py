@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from creak.errors import SimulationError
@@ -24,6 +25,7 @@ TOLERANCE: Final = 1e-9
 FOLDED: Final = 1e-5  # of an element's motion: what folded harmonics may make of it (-100 dB)
 MOST_SAMPLES: Final = 32768  # a period: no finer, but for periods that have more to begin with
 WAITED: Final = 40  # periods of time stepping that give a last initial guess
+GIVEN_UP: Final = 2  # experiments that do not settle, after which no other is tried further
 PASSES: Final = 100  # periods within which an actuator's memory repeats itself
 
 
@@ -52,9 +54,9 @@ class SteadyState:
     y: Real
     motion: Real
     force: Real
-    iterations: Real
+    iterations: NDArray[np.int64]
     residual: Real
-    converged: Real
+    converged: NDArray[np.bool_]
     oversampling: int
     folded: float
 
@@ -118,14 +120,14 @@ def simulate_steady(
         check_stability(system)
         y = _samples(_linear_part(system, acting, sample_rate, hold)[0], u.shape[-1])
         none = np.zeros((len(u), 0, u.shape[-1]))
-        done = np.zeros(len(u)), np.zeros(len(u)), np.ones(len(u), dtype=bool)
+        done = np.zeros(len(u), dtype=np.int64), np.zeros(len(u)), np.ones(len(u), dtype=bool)
         return SteadyState(_measured(system, y, sample_rate), none, none, *done, 1, 0.0)
     factor = oversampling or 1
-    iterations = np.zeros(len(u))
+    iterations = np.zeros(len(u), dtype=np.int64)
     while True:
         solved = _solve(system, acting, sample_rate, hold, factor, guess, tolerance, stopped)
         iterations += solved.iterations
-        solved = replace(solved, iterations=iterations.astype(np.int64))
+        solved = replace(solved, iterations=iterations.copy())
         finer = 2 * factor
         enough = solved.folded <= FOLDED or finer * u.shape[-1] > MOST_SAMPLES
         if oversampling is not None or enough or not solved.settled or stopped():
@@ -198,8 +200,8 @@ def _samples(lines: Complex, size: int) -> Real:
 
 def _lines(size: int, sample_rate: float) -> tuple[Real, Complex]:
     """Frequencies of all lines, Hz, and the factor of differentiation there."""
-    frequencies = np.arange(size // 2 + 1) * (sample_rate / size)
-    jw = 2j * np.pi * frequencies
+    frequencies = np.asarray(np.arange(size // 2 + 1) * (sample_rate / size), dtype=np.float64)
+    jw = np.asarray(2j * np.pi * frequencies, dtype=np.complex128)
     if size % 2 == 0:
         jw[-1] = 0.0
     return frequencies, jw
@@ -268,21 +270,21 @@ def _solve(
         D, map_ = harmonic.linearised(problem, begin)
         D, residual, steps = harmonic.fixed_point(problem, map_, D, tolerance)
         iterations = np.full(len(D), steps)
-        waiting = True
+        failed = 0
         for e in np.flatnonzero(~(residual <= tolerance)):
-            if stopped():
+            # Where a few do not settle, the others are not worth the wait: the result says so in any case.
+            if failed >= GIVEN_UP or stopped():
                 break
             D[e], residual[e], steps = harmonic.newton(problem, map_, D[e], int(e), tolerance)
             iterations[e] += steps
-            if residual[e] <= tolerance or not waiting:
+            if residual[e] <= tolerance:
                 continue
             waited = _waited(system, acting[e], sample_rate, hold, stopped)
             if waited is not None:
                 start = problem.lines(resampled(waited, size))
                 D[e], residual[e], steps = harmonic.newton(problem, map_, start, int(e), tolerance)
                 iterations[e] += steps
-            # Where not even waiting helps, the other experiments are not worth the wait.
-            waiting = bool(residual[e] <= tolerance)
+            failed += int(not residual[e] <= tolerance)
         motion, velocity = problem.motion(D)
         force = problem.forces(motion, velocity)
         F = problem.lines(force)
@@ -293,7 +295,7 @@ def _solve(
             force,
             iterations,
             residual,
-            residual <= tolerance,
+            np.asarray(residual <= tolerance),
             factor,
             _folded(problem, map_, motion, velocity, F),
         )
@@ -311,14 +313,15 @@ def _waited(
         actuators=((),) * system.inputs.shape[1],
         sensors=((),) * r,
     )
-    period = None
+    last = None
     try:
         for period in Stepper(seen, sample_rate, 1, hold).experiment(acting, WAITED):
             if stopped():
                 return None
+            last = period
     except SimulationError:
         return None
-    return period
+    return last
 
 
 def _folded(

@@ -101,7 +101,7 @@ class System:
         A structure that nothing holds has no static response; it is then held by a spring so soft that the
         structure on it moves 1e5 times slower than it vibrates.
         """
-        s = 2j * np.pi * np.asarray(frequencies, dtype=np.float64)
+        s: Complex = np.asarray(2j * np.pi * np.asarray(frequencies), dtype=np.complex128)
         out = np.empty((s.size, *np.shape(loads)), dtype=np.complex128)
         chunk = max(1, _CHUNK // self.mass.size)
         for begin in range(0, s.size, chunk):
