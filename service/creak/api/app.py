@@ -1,14 +1,15 @@
 """The application: all routes over one store."""
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from creak import __version__
-from creak.api import alarms, events, health, metrics, models, page, problems, rigs
+from creak.api import alarms, events, health, job_models, jobs, metrics, models, page, problems, rigs
 from creak.api.events import EventFeed, watched
 from creak.api.guard import Guard
 from creak.api.models import Problem
@@ -45,7 +46,9 @@ class Service(FastAPI):
         return self.openapi_schema
 
 
-def create_app(store: Store | str, *, rigs_expected: Sequence[str] = ()) -> FastAPI:
+def create_app(
+    store: Store | str, *, rigs_expected: Sequence[str] = (), models_of: Mapping[str, Path] | None = None
+) -> FastAPI:
     """Make the application.
 
     Parameters
@@ -54,6 +57,9 @@ def create_app(store: Store | str, *, rigs_expected: Sequence[str] = ()) -> Fast
         The store, or its URL; a store that is opened here is closed when the application ends.
     rigs_expected : sequence of str
         Rigs without which the service is not ready; by default those whose runs go on.
+
+    models_of : mapping of str to Path, optional
+        Model file of each rig that has one, against which its recordings are diagnosed.
 
     Raises
     ------
@@ -85,10 +91,11 @@ def create_app(store: Store | str, *, rigs_expected: Sequence[str] = ()) -> Fast
     app.state.store = opened
     app.state.feed = feed
     app.state.rigs = tuple(rigs_expected)
+    app.state.models = dict(models_of or {})
     problems.install(app)
     app.add_middleware(Guard)
     api = APIRouter(prefix="/api/v1")
-    for part in (rigs, alarms, events):
+    for part in (rigs, alarms, jobs, events):
         api.include_router(part.router)
     app.include_router(api)
     for outside in (health, metrics, page):
@@ -98,9 +105,11 @@ def create_app(store: Store | str, *, rigs_expected: Sequence[str] = ()) -> Fast
 
 def _add_examples(document: dict[str, Any]) -> None:
     """Give every JSON answer the example of its body; put in earlier, it would lose the keys that are null."""
+    bodies = vars(models) | vars(job_models)
     for path in document["paths"].values():
         for operation in path.values():
-            content = operation["responses"]["200"]["content"].get("application/json")
+            status = next(status for status in operation["responses"] if status.startswith("2"))
+            content = operation["responses"][status]["content"].get("application/json")
             if content is not None:
-                body: type[models.Answer] = getattr(models, content["schema"]["$ref"].rsplit("/", 1)[1])
+                body: type[models.Answer] = bodies[content["schema"]["$ref"].rsplit("/", 1)[1]]
                 content["example"] = body.example

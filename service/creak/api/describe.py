@@ -16,6 +16,8 @@ from creak.sinks.database import Store
 _MEANINGS = {
     400: "The path cannot be read.",
     404: "There is no such thing.",
+    409: "It cannot be done as things stand.",
+    410: "The file is no longer there.",
     422: "A parameter holds what it must not hold.",
     500: "The service failed.",
     503: "The store cannot be read at present.",
@@ -40,7 +42,8 @@ async def _store(request: Request) -> Store:
     return store
 
 
-def _name(text: str) -> str:
+def plain_name(text: str) -> str:
+    """Return a name of the path with its slashes, as it was meant."""
     return text.replace(SLASH, "/")
 
 
@@ -48,9 +51,9 @@ StoreOf = Annotated[Store, Depends(_store)]
 """The store of the application."""
 
 _Plain = Query(max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")
-RigName = Annotated[str, Path(description="Name of the rig."), AfterValidator(_name)]
-NodeName = Annotated[str, Path(description="Name of the node."), AfterValidator(_name)]
-AlarmId = Annotated[str, Path(description="Id of the alarm."), AfterValidator(_name)]
+RigName = Annotated[str, Path(description="Name of the rig."), AfterValidator(plain_name)]
+NodeName = Annotated[str, Path(description="Name of the node."), AfterValidator(plain_name)]
+AlarmId = Annotated[str, Path(description="Id of the alarm."), AfterValidator(plain_name)]
 OfRig = Annotated[str | None, _Plain]
 OfNode = Annotated[str | None, _Plain]
 ScopeOf = Annotated[

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import typer
 
-from creak.cli import recordings, service
+from creak.cli import diagnose, recordings, service
 from creak.errors import CreakError, InputError
 
 # typer carries a click of its own and exports this one of its errors; what it derives from are all the others.
@@ -20,6 +20,7 @@ app = typer.Typer(
 )
 service.add_to(app)
 recordings.add_to(app)
+diagnose.add_to(app)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

@@ -30,6 +30,7 @@ from creak.config.service import (
     parse_service,
 )
 from creak.errors import ConfigurationError, RecordingError, ServiceError, StorageError
+from creak.jobs import JobRunner
 from creak.records import Estimate, Rig, Run, RunEnd
 from creak.sinks.catalogue import CataloguedRecorder
 from creak.sinks.protocol import Sink
@@ -223,10 +224,17 @@ def _run(
         Worker(source, [StoreSink(store), CataloguedRecorder(recorder, store), *more])
         for source, recorder, more in zip(sources, recorders, displays, strict=True)
     ]
-    app = create_app(store, rigs_expected=[source.run.rig.name for source in sources])
+    names = [source.run.rig.name for source in sources]
+    models = {
+        name: table.model for name, table in zip(names, settings.rigs, strict=True) if table.model is not None
+    }
+    app = create_app(store, rigs_expected=names, models_of=models)
+    jobs = settings.jobs
+    runner = JobRunner(store, settings.data / "jobs", at_once=jobs.at_once, max_seconds=jobs.max_seconds)
     try:
         for worker in workers:
             worker.start()
+        runner.start()
         host, port, *_ = listener.getsockname()
         _log.info("listening on http://%s:%s", host, port)
         with contextlib.suppress(KeyboardInterrupt):
@@ -237,6 +245,7 @@ def _run(
             source.close()
         for worker in workers:
             worker.stop(max(0.1, deadline - time.monotonic()))
+        runner.stop(max(0.1, deadline - time.monotonic()))
         store.close()
     for worker, recorder in zip(workers, recorders, strict=True):
         if worker.end is not None and recorder.paths:

@@ -1,4 +1,4 @@
-"""A diagnosis as the JSON that ``creak diagnose --json`` and the API show; the first keys are the public contract."""
+"""A diagnosis as the JSON of ``creak diagnose --json`` and the API; the first keys are the public contract."""
 
 import math
 from collections.abc import Mapping

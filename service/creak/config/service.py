@@ -62,6 +62,13 @@ class RecordingTable(_Strict):
     max_seconds: Positive = 86_400.0
 
 
+class JobsTable(_Strict):
+    """``[jobs]``: diagnoses and replays that are asked for over REST."""
+
+    at_once: Annotated[int, Field(ge=0, le=64, strict=True)] = 1
+    max_seconds: Positive = 1800.0
+
+
 class LimitsTable(_Strict):
     """``[rigs.limits]``: when a node alarms."""
 
@@ -145,6 +152,7 @@ class ServiceSettings(BaseSettings):
     store: StoreTable = StoreTable()
     webhooks: WebhooksTable = WebhooksTable()
     recording: RecordingTable = RecordingTable()
+    jobs: JobsTable = JobsTable()
     rigs: Annotated[list[RigTable], Field(min_length=1)]
 
     @classmethod

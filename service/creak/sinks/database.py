@@ -172,6 +172,7 @@ def _adopt(store: Store, source: str, key: str) -> None:
     try:
         with store.read() as connection:
             fresh = _version(connection, source, key) is None
+            complete = not fresh and set(tables.metadata.tables) <= set(sa.inspect(connection).get_table_names())
     except StorageError as error:
         if "not a database" in str(error):
             problem = f"{store.label} is not a database; it is left as it is"
@@ -179,13 +180,14 @@ def _adopt(store: Store, source: str, key: str) -> None:
         raise
     with store._engine.connect() as connection:
         _write_ahead(connection, store)
-    if not fresh:
+    if complete:
         return
     with store.write() as connection:
         if connection.dialect.name == "postgresql":
             connection.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": _CREATION_LOCK})
-        if _version(connection, source, key) is None:  # another process may have been quicker
-            tables.metadata.create_all(connection)
+        fresh = _version(connection, source, key) is None  # another process may have been quicker
+        tables.metadata.create_all(connection)  # a store of this version from before a table was added gets it
+        if fresh:
             connection.execute(sa.insert(tables.schema).values(version=tables.SCHEMA_VERSION))
             connection.execute(sa.insert(tables.counters).values(name="events", value=0))
 
