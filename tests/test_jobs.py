@@ -1,4 +1,4 @@
-"""The queue of jobs in the store, and the runner that takes them: each ends once, and for a reason that is told."""
+"""The queue of jobs in the store, and the runner that takes them: each ends once, and says why."""
 
 import threading
 import time

@@ -13,7 +13,7 @@ from creak.gap.records import BandShare, Cause, Diagnosis, ForceCurve, NodeGap
 from creak.report import words
 
 # Okabe and Ito's colours, which those who do not tell red from green can tell apart
-BEFORE, AFTER, NOISE, MEASURED = "#d55e00", "#0072b2", "#767676", "#8a8a8a"
+BEFORE, AFTER, NOISE, MEASURED = "#d55e00", "#0072b2", "#767676", "#c9a66b"
 LINEAR, NONLINEAR = "#56b4e9", "#cc79a7"
 
 _STYLE: dict[Any, Any] = {
@@ -22,6 +22,7 @@ _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial", "sans-serif"],
     "font.size": 10,
+    "text.parse_math": False,  # a node may be called "$3$"
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -121,13 +122,14 @@ def curve_picture(curve: ForceCurve) -> str:
         for panel, motion, label in zip(
             panels, (curve.displacement, curve.velocity), ("displacement, m", "velocity, m/s"), strict=True
         ):
-            panel.scatter(motion, curve.force, s=9, color=MEASURED, alpha=0.55, linewidths=0, label="measured")
+            panel.scatter(motion, curve.force, s=26, color=MEASURED, alpha=0.6, linewidths=0, label="measured")
             if curve.fitted is not None:
-                panel.scatter(motion, curve.fitted, s=5, color=AFTER, linewidths=0, label="fitted law")
+                panel.scatter(motion, curve.fitted, s=4, color=AFTER, linewidths=0, label="fitted law")
             panel.set_xlabel(label)
             panel.ticklabel_format(scilimits=(-2, 3), useMathText=False)
         panels[0].set_ylabel("missing force, N")
-        _legend_above(panels[0])
+        handles = panels[0].get_legend_handles_labels()
+        figure.legend(*handles, loc="outside upper left", ncols=2, frameon=False, markerscale=1.5)
         return _svg(figure)
 
 

@@ -79,7 +79,7 @@ def _where(diagnosis: Diagnosis) -> Iterator[str]:
         return
     yield "<h2>Where it lies</h2>"
     yield _table(
-        ["place", "share of the gap", "band that holds 90 % of the force", "left of it, times noise"],
+        ["place", "share of the gap", "90 % of the force within", "power it leaves, noise = 1"],
         [
             [
                 words.missing_place(force),

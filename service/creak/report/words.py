@@ -145,7 +145,7 @@ def quantity(value: float, standard_error: float, unit: str) -> str:
     if not math.isfinite(half) or half <= 0 or value == 0:
         return f"{value:.4g}{tail}"
     digits = max(2, min(10, 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(half))))
-    return f"{value:.{digits}g} ± {half:.2g}{tail}"
+    return f"{f'{value:#.{digits}g}'.rstrip('.')} ± {half:.2g}{tail}"
 
 
 def split(node: NodeGap) -> str:
