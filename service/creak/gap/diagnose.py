@@ -1,17 +1,54 @@
 """The diagnosis as a whole: `diagnose` and `validate`, the two entries to this package."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from creak.errors import ConfigurationError
+from creak.gap.force import force_curves, missing_force
+from creak.gap.hypothesis import Hypothesis, apply
+from creak.gap.levels import Level, band_shares, db, divide, gap_levels, level, node_gaps, noise_bound
 from creak.gap.periodic import PeriodicData
-from creak.gap.records import Diagnosis, Validation
+from creak.gap.records import Cause, Diagnosis, GapLevels, MissingForce, Validation, Verdict
+from creak.gap.refine import Refined, Setting, refine
+from creak.gap.regression import Indices
+from creak.gap.search import Ranked, Search, Searched
+from creak.gap.verdict import as_causes, judge, probabilities
+from creak.gap.view import hold_factor, lines_of
+from creak.mechanics.structure import MeasuredResponse
 from creak.mechanics.system import Model
+from creak.mechanics.vocabulary import VOCABULARY
 from creak.records import Rig
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done, 0 to 1."""
 
+_STEPS_FINAL = 3
 
-def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = lambda what, done: None) -> Diagnosis:
+
+@dataclass(frozen=True, eq=False)
+class _Halves:
+    """Experiments that are fitted, and those kept aside."""
+
+    fitted: Indices
+    held: Indices
+    realisations: int
+
+
+def _halves(data: PeriodicData) -> _Halves:
+    """Keep the last fifth of the realisations aside, at least one if there are two."""
+    indices = np.unique(data.realisation)
+    aside = max(1, round(len(indices) / 5)) if len(indices) > 1 else 0
+    held = np.isin(data.realisation, indices[len(indices) - aside :]) if aside else np.zeros(len(data.u), dtype=bool)
+    return _Halves(np.flatnonzero(~held), np.flatnonzero(held), aside)
+
+
+def _silent(what: str, done: float) -> None:
+    """Report nothing."""
+
+
+def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _silent) -> Diagnosis:
     """Find where a recording departs from a model, which effect causes it, and how far it shrinks.
 
     Parameters
@@ -31,12 +68,150 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = la
     ------
     ConfigurationError
         If the model does not fit the rig or is unstable.
-    MeasurementError
-        If the recording has no complete realisation, or one period, which leaves the noise unknown.
     """
-    raise NotImplementedError
+    if isinstance(model, MeasuredResponse):
+        raise ConfigurationError("model", "kind", "'frf' cannot be diagnosed yet; allowed are lumped, matrices, beam")
+    halves = _halves(data)
+    shown = halves.held if len(halves.held) else halves.fitted
+    notes = _notes(rig, data, halves)
+    setting = Setting(rig, model, data, len(data.variance))
+    progress("simulating the model", 0.0)
+    every = setting.simulate(Hypothesis(), np.arange(len(data.u)))
+    if not every.settled:
+        notes.append(
+            f"the model's own simulation did not settle in {int((~every.converged).sum())} of {len(data.u)} "
+            "experiments, so its gap is that of the last iterate"
+        )
+    before = level(data, every.y[shown], shown)
+    rest = data.Y - lines_of(every.y)
+    division = divide(rig, data, rest, lines_of(data.u) * hold_factor(rig)[:, None])
+    bands = band_shares(rig, data, division)
+    result = Diagnosis(
+        Verdict.NO_GAP,
+        gap_levels(before, before, gap=False),
+        node_gaps(rig, before, before, division),
+        (),
+        (),
+        (),
+        (),
+        halves.realisations,
+        bands,
+        (),
+        0.0,
+        model,
+        (),
+        tuple(notes),
+    )
+    if before.whitened <= noise_bound(data, len(shown)):
+        progress("done", 1.0)
+        return result
+    setting = replace(setting, top=_top(rig, data, rest))
+    search = Search(setting, halves.fitted, halves.held, progress)
+    searched = search.run()
+    if not searched.ranked and db(float(before.power.mean())) - db(float(before.noise.mean())) < 0.1:
+        notes.append("the gap lies outside the 99 % bound of noise, but less than 0.1 dB above it; no effect was found")
+        return replace(result, not_claimed=tuple(notes))
+    progress("final fit", 0.85)
+    return _concluded(result, setting, search, searched, halves, before, division, notes, progress)
+
+
+def _concluded(
+    result: Diagnosis,
+    setting: Setting,
+    search: Search,
+    searched: Searched,
+    halves: _Halves,
+    before: Level,
+    division: object,
+    notes: list[str],
+    progress: Progress,
+) -> Diagnosis:
+    rig, model, data = setting.rig, setting.model, setting.data
+    shown = halves.held if len(halves.held) else halves.fitted
+    tested = tuple(VOCABULARY)
+    after, final = before, None
+    if searched.ranked:
+        final = _final(setting, searched.ranked[0].refined, halves)
+        steady = setting.simulate(final.hypothesis, shown)
+        if steady.settled:
+            after = level(data, steady.y, shown)
+        else:
+            notes.append("the corrected model's simulation does not settle, so it is not claimed")
+            final = None
+    gap = gap_levels(before, after, gap=True)
+    verdict = judge(gap, final.hypothesis if final else None)
+    chances, unknown = probabilities(search, searched)
+    if verdict is Verdict.UNKNOWN or final is None:
+        gap = gap_levels(before, before, gap=True)
+        where = missing_force(setting, Hypothesis(), searched.places, halves.fitted)
+        return replace(
+            result,
+            verdict=Verdict.UNKNOWN,
+            gap=replace(gap, closed=0.0),
+            where=where,
+            curves=force_curves(setting, Hypothesis(), where, halves.fitted),
+            unknown_probability=1.0,
+            tested=tested,
+            not_claimed=tuple(notes),
+        )
+    named = as_causes(setting, final, searched, chances, halves.fitted, shown, gap)
+    corrected = apply(model, final.hypothesis)
+    where = missing_force(setting, final.hypothesis, searched.places, halves.fitted)
+    progress("done", 1.0)
+    return replace(
+        result,
+        verdict=verdict,
+        gap=gap,
+        nodes=node_gaps(rig, before, after, division),  # type: ignore[arg-type]
+        where=where,
+        causes=named.causes,
+        alternatives=named.alternatives,
+        linear_corrections=named.corrections,
+        curves=force_curves(setting, final.hypothesis, where, halves.fitted),
+        unknown_probability=unknown,
+        corrected=corrected,
+        tested=tested,
+        not_claimed=tuple(notes),
+    )
+
+
+def _final(setting: Setting, refined: Refined, halves: _Halves) -> Refined:
+    """Fit once more, to all experiments that may be fitted."""
+    final = refine(setting, refined.hypothesis, halves.fitted, halves.held[:6], _STEPS_FINAL)
+    return final if final.settled else refined
+
+
+def _top(rig: Rig, data: PeriodicData, rest: np.ndarray) -> int:
+    """Lines, from DC on, that hold a gap above noise, in blocks; at least the excited ones and a fifth more."""
+    block = 16
+    lines = rest.shape[1]
+    white = np.mean(np.abs(rest) ** 2 / data.variance, axis=(0, 2))
+    blocks = white[: lines // block * block].reshape(-1, block).mean(axis=1)
+    floor = data.degrees / (data.degrees - 1)
+    count = block * rest.shape[0] * rest.shape[2]
+    above = np.flatnonzero(blocks > floor * (1 + 6 / np.sqrt(count) + 3 / np.sqrt(data.degrees * block)))
+    least = min(int(1.2 * rig.lines[-1]) + 2, lines)
+    return int(min(max((above[-1] + 1) * block if len(above) else 0, least), lines))
+
+
+def _notes(rig: Rig, data: PeriodicData, halves: _Halves) -> list[str]:
+    notes = []
+    if not halves.realisations:
+        notes.append(
+            "the recording has one realisation, so nothing could be kept aside: the gaps are those of the data that "
+            "were fitted, and that the correction holds for other excitations is not claimed"
+        )
+    if rig.n == 1:
+        notes.append("one node is measured, so ground, actuator and sensor are told apart by their laws alone")
+    if data.degrees <= 3:
+        notes.append("the noise is known from very few periods")
+    notes.append("effects between points that are not measured were not tested")
+    return notes
 
 
 def validate(rig: Rig, diagnosis: Diagnosis, other: PeriodicData) -> Validation:
     """See whether a corrected model holds in another recording, at best at another amplitude."""
     raise NotImplementedError
+
+
+__all__ = ["Cause", "GapLevels", "MissingForce", "Ranked", "diagnose", "validate"]

@@ -31,6 +31,8 @@ class PeriodicData:
         Complex degrees of freedom behind each variance, ``E (P - 1)`` times the lines that were pooled.
     periods : int
         P.
+    pooled : int
+        Neighbouring lines whose scatter makes one variance.
     """
 
     realisation: np.ndarray[tuple[int], np.dtype[np.int64]]
@@ -40,6 +42,7 @@ class PeriodicData:
     variance: Real
     degrees: float
     periods: int
+    pooled: int = 1
 
 
 _FEWEST_DEGREES = 24  # below this the noise of neighbouring lines is pooled: a variance from few periods is no weight
@@ -121,5 +124,5 @@ def _data(
     power = np.mean(np.sum(np.abs(Y) ** 2, axis=1), axis=0)
     floor = _FLOOR * power / Y.shape[1] + np.finfo(float).tiny
     return PeriodicData(
-        realisation, u, y, Y, np.maximum(variance / periods, floor), float(degrees * pooled), periods
+        realisation, u, y, Y, np.maximum(variance / periods, floor), float(degrees * pooled), periods, pooled
     )
