@@ -1,5 +1,7 @@
 """Model files that are written: what is read back is the same model."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -110,8 +112,6 @@ def test_matrices_read_back_equal(data):
 @pytest.mark.parametrize("folder", ["three-mass", "beam"])
 def test_examples_survive_being_saved(folder, tmp_path):
     """The models of the README, through a file."""
-    from pathlib import Path
-
     model = load_model(Path(__file__).parents[1] / "deploy" / "examples" / folder / "model.toml")
     (tmp_path / "saved.toml").write_text(model_toml(model))
     assert load_model(tmp_path / "saved.toml") == model

@@ -1,11 +1,11 @@
-"""Blind cases: everything about one is drawn from a seed; what the diagnosis may see is kept apart from the truth."""
+"""Blind cases, all drawn from a seed; what the diagnosis may see is kept apart from the truth."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from blind import effects, structures
-from blind.motion import OUTSIDE, NotPeriodic
+from blind.motion import OUTSIDE, NotPeriodicError
 
 STRATA = 20
 """Of as many cases three have no gap, three an effect outside the vocabulary."""
@@ -52,7 +52,7 @@ def draw(seed, index):
     for _ in range(20):
         try:
             return _attempt(rng, kind, off=bool(rng.random() < 1 / 3))
-        except NotPeriodic:
+        except NotPeriodicError:
             continue
     raise RuntimeError(f"no periodic motion found for case {index} of set {seed}")
 
@@ -81,10 +81,8 @@ def _attempt(rng, kind, off):
         values = effects.draw_strength(rng, effect, at, structure, u, fs)
         if effect.startswith("sensor") and ("limit" in values or "step" in values):
             node = structure.nodes.index(at[0])
-            ratio = effects.rms(structure.linear(u, fs, order)[:, node]) / effects.rms(
-                structure.linear(u, fs, 0)[:, node]
-            )
-            values = {key: value * ratio for key, value in values.items()}
+            measured, moved = (effects.rms(structure.linear(u, fs, o)[:, node]) for o in (order, 0))
+            values = {key: value * measured / moved for key, value in values.items()}
     y = effects.responses(structure, effect, at, values, u, fs, order, held)
     believed = structures.perturbed(spec, rng, 0.1) if off else spec
     snr_db = float(rng.uniform(30.0, 60.0))
@@ -108,6 +106,7 @@ def _attempt(rng, kind, off):
         "realisations": realisations,
         "periods": periods,
         "snr_db": snr_db,
+        "model": None if kind == "outside" else structures.model_text(spec, [(effect, at, values)] if effect else []),
         "effect_to_noise_db": _ratio_db(y - plain, power, noise),
         "gap_to_noise_db": _ratio_db(y - simulated, power, noise),
     }

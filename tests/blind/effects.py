@@ -1,6 +1,7 @@
 """What may be wrong in a blind case: effect, place and strength drawn at random, and the motion under it."""
 
 import copy
+from itertools import pairwise
 
 import numpy as np
 
@@ -48,7 +49,7 @@ def draw_place(rng, spec, nodes, effect):
     if effect == "resonator" or effect.startswith(("actuator", "sensor")):
         return (str(rng.choice(nodes)),)
     pairs = [(a, b) for a, b, *_ in spec.get("links", ()) if b != "ground"]
-    pairs = pairs or [(a, b) for a, b in zip(nodes, nodes[1:], strict=False)]
+    pairs = pairs or list(pairwise(nodes))
     if rng.random() < 0.6:
         return (str(rng.choice(nodes)), "ground")
     return pairs[int(rng.integers(len(pairs)))]

@@ -141,7 +141,7 @@ def one_period(state, u, substeps, held, h, system, laws, constants, outputs, or
             before[j] = u[first, j]
 
 
-class NotPeriodic(RuntimeError):
+class NotPeriodicError(RuntimeError):
     """The motion does not come to repeat itself: such a case is drawn again."""
 
 
@@ -261,12 +261,12 @@ def steady(structure, elements, u, fs, order, held=False, fineness=1, tolerance=
             y = np.empty((len(rows), size))
             one_period(state, fine, substeps, held, h, system, laws, constants, rows, orders, y)
             if not np.isfinite(y).all():
-                raise NotPeriodic
+                raise NotPeriodicError
             change = np.sqrt(np.max(np.sum((y - last) ** 2, axis=1) / np.sum(y**2, axis=1)))
             last = y
             if change < tolerance:
                 break
         else:
-            raise NotPeriodic
+            raise NotPeriodicError
         out[e] = last
     return out

@@ -157,7 +157,8 @@ def tables(result):
         f"{shown(result['within_1_96_standard_errors'], '{:.1%}')} within 1.96 of their standard errors. "
         f"Closed, median: {shown(result['closed_median'], '{:.3%}')} (goal 99.9 %). "
         f"With causes that are none: {result['with_extra_causes']}. "
-        f"Seconds a diagnosis: median {shown(result['seconds_median'], '{:.1f}')}, most {result['seconds_most']:.1f}.",
+        f"Seconds a diagnosis: median {shown(result['seconds_median'], '{:.1f}')}, "
+        f"most {result['seconds_most']:.1f}.",
         "",
     ]
     answers = sorted({name for row in result["confusion"].values() for name in row})

@@ -37,6 +37,19 @@ def environment():
     return kept | {"PYTHONPATH": source, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
+def creak(folder, timeout, *arguments):
+    """Run a command of creak in a folder."""
+    return subprocess.run(
+        [sys.executable, "-m", "creak.cli", *arguments],
+        cwd=folder,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=timeout,
+    )
+
+
 def run(case, folder, timeout=300.0):
     """Have one case diagnosed.
 
@@ -59,13 +72,7 @@ def run(case, folder, timeout=300.0):
     (inside / "rig.toml").write_text(case.rig)
     (inside / "model.toml").write_text(case.model)
     np.savez(inside / "measured.npz", u=case.u, y=case.y)
-    creak = [sys.executable, "-m", "creak.cli"]
-    options = {"cwd": inside, "env": environment(), "capture_output": True, "text": True, "check": False}
-    made = subprocess.run(
-        [*creak, "import", "measured.npz", "--rig", "rig.toml", "--output", "recording.mcap"],
-        timeout=120,
-        **options,
-    )
+    made = creak(inside, 120.0, "import", "measured.npz", "--rig", "rig.toml", "--output", "recording.mcap")
     if made.returncode != 0:
         raise RuntimeError(f"the recording was refused: {made.stderr.strip()}")
     for name in ("measured.npz", "rig.toml"):
@@ -73,9 +80,7 @@ def run(case, folder, timeout=300.0):
     answer, error = None, None
     begun = time.monotonic()
     try:
-        done = subprocess.run(
-            [*creak, "diagnose", "recording.mcap", "--model", "model.toml", "--json"], timeout=timeout, **options
-        )
+        done = creak(inside, timeout, "diagnose", "recording.mcap", "--model", "model.toml", "--json")
         if done.returncode == 0:
             answer = json.loads(done.stdout)
         else:

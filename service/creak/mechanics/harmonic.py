@@ -108,7 +108,7 @@ def equivalent(problem: Problem, k: Real, c: Real) -> Equivalent:
     """Prepare the map for given equivalent stiffnesses and dampings, ``(r,)`` each."""
     law = np.asarray(k + problem.jw[:, None] * c, dtype=np.complex128)
     free = np.linalg.inv(np.eye(len(k)) + problem.receptance * law[:, None, :])
-    return Equivalent(law, free, free @ problem.receptance)
+    return Equivalent(law, np.asarray(free, dtype=np.complex128), free @ problem.receptance)
 
 
 def fitted(problem: Problem, D: Complex) -> tuple[Real, Real]:

@@ -22,7 +22,7 @@ from creak.mechanics.system import System
 from creak.records import Complex, Hold, Real
 
 TOLERANCE: Final = 1e-9
-FOLDED: Final = 1e-5  # of an element's motion: what folded harmonics may make of it (-100 dB)
+FOLDED: Final = 3e-5  # of an element's motion: what folded harmonics may make of it (-90 dB)
 MOST_SAMPLES: Final = 32768  # a period: no finer, but for periods that have more to begin with
 WAITED: Final = 40  # periods of time stepping that give a last initial guess
 GIVEN_UP: Final = 2  # experiments that do not settle, after which no other is tried further
@@ -92,7 +92,7 @@ def simulate_steady(
         Relative displacements to begin with, for instance those of a similar system or measured ones.
     oversampling : int, optional
         Samples of the elements a sample of the rig; by default as many as bring the folded harmonics below
-        1e-5 of the motion, at most 32768 a period. Give it where results are to be compared closely.
+        3e-5 of the motion, at most 32768 a period. Give it where results are to be compared closely.
     tolerance : float
         For the residual.
     stopped : callable
