@@ -26,7 +26,7 @@ def page(verdict=Verdict.EXPLAINED, holding=None):
 
 
 class Words(HTMLParser):
-    """Text of a page, its addresses, and whether its elements are closed in the order in which they were opened."""
+    """Text and addresses of a page whose elements are closed in the order in which they were opened."""
 
     def __init__(self, text):
         super().__init__()

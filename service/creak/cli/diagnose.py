@@ -2,17 +2,25 @@
 
 import json
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from creak.cli.diagnosis import show
 from creak.cli.progress import Tell, progress
 from creak.cli.recordings import warn, whole_file
+from creak.codec.diagnosis_json import diagnosis_json
+from creak.config.model import load_model
+from creak.config.model_writer import model_toml
 from creak.errors import ConfigurationError, InputError, MeasurementError, RecordingError
+from creak.gap.diagnose import diagnose as find
+from creak.gap.diagnose import validate as hold
 from creak.gap.periodic import PeriodicData, gather
-from creak.gap.records import Diagnosis
+from creak.gap.view import check_stable
+from creak.mechanics.structure import MeasuredResponse
+from creak.mechanics.system import assemble
 from creak.records import Fault, Frame, Rig
 from creak.sources.recording import Recording
 
@@ -38,56 +46,51 @@ def diagnose(
     validate: Annotated[
         Path | None, typer.Option("--validate", help="Recording at another amplitude: does the correction hold?")
     ] = None,
-    first_realisation: Annotated[
-        int | None, typer.Option(min=0, help="First realisation that counts, from 0.")
-    ] = None,
-    last_realisation: Annotated[int | None, typer.Option(min=0, help="Last realisation that counts.")] = None,
+    first_realisation: Annotated[int | None, typer.Option(help="First realisation that counts, from 0.")] = None,
+    last_realisation: Annotated[int | None, typer.Option(help="Last realisation that counts.")] = None,
     progress_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Find where a recording departs from a model, which effect causes it, and how far the gap shrinks.
 
     Example: `creak diagnose three-mass.mcap --model model-linear.toml --report gap.html`
     """
-    from creak.codec.diagnosis_json import diagnosis_json
-    from creak.config.model import load_model
-    from creak.gap.diagnose import diagnose as find
-    from creak.gap.diagnose import validate as hold
-
     believed = load_model(model)
     recording = Recording(*files)
     other = None if validate is None else _other(validate, recording)
     rig = recording.run.rig
-    with ExitStack() as outputs:
-        page = None if report is None else outputs.enter_context(whole_file(report, "--report"))
-        saved = None if save_model is None else outputs.enter_context(whole_file(save_model, "--save-model"))
-        with progress(progress_fd) as tell:
-            data = _gathered(recording, first_realisation, last_realisation, tell)
-            try:
-                found = find(rig, believed, data, lambda what, done: tell(what, _READING + (1 - _READING) * done))
-            except ConfigurationError as error:
-                raise _of_the_model(error, model, recording) from None
-            holding = None
-            if other is not None:
-                tell("reading the other recording", 1.0)
-                holding = hold(rig, found, _gathered(other, None, None, lambda what, done: None))
+    with ExitStack() as scope:
+        scope.enter_context(_naming(model, recording))
+        if not isinstance(believed, MeasuredResponse):
+            check_stable(assemble(believed, rig))  # before minutes are spent on reading
+        page = None if report is None else scope.enter_context(whole_file(report, "--report"))
+        saved = None if save_model is None else scope.enter_context(whole_file(save_model, "--save-model"))
+        tell = scope.enter_context(progress(progress_fd))
+        data = _gathered(recording, first_realisation, last_realisation, tell)
+        found = find(rig, believed, data, lambda what, done: tell(what, _READING + (1 - _READING) * done))
+        holding = None
+        if other is not None:
+            tell("the other recording", 1.0)
+            holding = hold(rig, found, _gathered(other, None, None, _silent))
         if page is not None:
             from creak.report.page import write_page
 
-            page.write_text(write_page(found, holding, recording.run, _title(files), str(model)), encoding="utf-8")
+            name = ", ".join(path.name for path in files)
+            page.write_text(write_page(found, holding, recording.run, name, model.name), encoding="utf-8")
         if saved is not None:
-            saved.write_text(_saved(found), encoding="utf-8")
+            saved.write_text(model_toml(found.corrected), encoding="utf-8")
     for line in recording.damage:
         warn(line)
     if as_json:
         typer.echo(json.dumps(diagnosis_json(found, holding), indent=1, allow_nan=False))
     else:
-        from creak.cli.diagnosis import show
-
         show(found, holding)
 
 
 def _gathered(recording: Recording, first: int | None, last: int | None, tell: Tell) -> PeriodicData:
     """Read the complete realisations that count."""
+    for option, number in (("--first-realisation", first), ("--last-realisation", last)):
+        if number is not None and number < 0:
+            raise InputError(f"{option}: {number} is not allowed: should be 0 or more")
     if first is not None and last is not None and first > last:
         raise InputError(
             f"--last-realisation: {last} is not allowed: should be at least --first-realisation ({first})"
@@ -130,20 +133,18 @@ def _measuring(rig: Rig) -> tuple[object, ...]:
     return rig.nodes, rig.sample_rate, rig.period_samples, rig.hold
 
 
-def _of_the_model(error: ConfigurationError, path: Path, recording: Recording) -> ConfigurationError:
+@contextmanager
+def _naming(model: Path, recording: Recording) -> Iterator[None]:
     """Name the files of which an error speaks: the model's, and the recording that carries the rig."""
-    if error.source.startswith("rig "):
-        return ConfigurationError(f"{recording.paths[0]}", error.key, f"{error.problem} ({path})")
-    if error.source == "model":
-        return ConfigurationError(str(path), error.key, error.problem)
-    return error
+    try:
+        yield
+    except ConfigurationError as error:
+        if error.source.startswith("rig "):
+            raise ConfigurationError(str(recording.paths[0]), error.key, f"{error.problem} ({model})") from None
+        if error.source == "model":
+            raise ConfigurationError(str(model), error.key, error.problem) from None
+        raise
 
 
-def _title(files: list[Path]) -> str:
-    return ", ".join(path.name for path in files)
-
-
-def _saved(found: Diagnosis) -> str:
-    from creak.config.model_writer import model_toml
-
-    return model_toml(found.corrected)
+def _silent(_what: str, _done: float) -> None:
+    """Tell nobody."""

@@ -12,21 +12,21 @@ from creak.report import words
 def show(found: Diagnosis, holding: Validation | None) -> None:
     """Print a diagnosis on standard output."""
     out = Console()
-    out.print(f"verdict: {words.verdict(found)}", style="bold", highlight=False)
+    out.print(f"verdict: {words.verdict(found)}", style="bold", highlight=False, soft_wrap=True)
     for sentence in words.summary(found):
-        out.print(sentence, highlight=False)
+        out.print(sentence, highlight=False, soft_wrap=True)
     out.print(_nodes(found.nodes, f"gap, dB of the response, on {_held_out(found)}"))
     if found.causes:
         out.print(_causes(found.causes, "causes, in the order in which they were added"))
     if found.alternatives:
         out.print(_causes(found.alternatives, "alternatives that these data cannot tell from a cause"))
     for moved in found.linear_corrections:
-        out.print(f"moved: {words.correction(moved)}", highlight=False)
+        out.print(f"moved: {words.correction(moved)}", highlight=False, soft_wrap=True)
     if holding is not None:
-        out.print(f"validation: {holding.conclusion}", style="bold", highlight=False)
+        out.print(f"validation: {holding.conclusion}", style="bold", highlight=False, soft_wrap=True)
         out.print(_nodes(holding.nodes, "gap in the other recording, dB of the response"))
     for sentence in found.not_claimed:
-        out.print(f"not claimed: {sentence}", highlight=False)
+        out.print(f"not claimed: {sentence}", highlight=False, soft_wrap=True)
 
 
 def _held_out(found: Diagnosis) -> str:
