@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.optimize import minimize, minimize_scalar
 
 from creak.gap.regression import LINEAR, Column, Indices, internal_places
 from creak.gap.view import View
 from creak.mechanics import laws
 from creak.mechanics.effects import (
+    GROUND,
     Clearance,
     CoulombFriction,
     CubicStiffness,
@@ -22,6 +24,7 @@ from creak.mechanics.effects import (
     OneSidedStop,
     QuadraticDamping,
     QuadraticStiffness,
+    Resonator,
     Restoring,
 )
 from creak.mechanics.electronics import (
@@ -94,9 +97,13 @@ class Candidate:
         grid = sample * np.geomspace(0.01, 20.0, 14)
         return np.concatenate([-grid[::-1], grid])
 
-    def column(self, view: View, inner: float, experiments: Indices) -> Column:
+    def column(self, view: View, inner: float | Real, experiments: Indices) -> Column:
         """Column at an inner parameter; filled at the given experiments, zero elsewhere."""
+        if self.kind is Resonator:
+            own = view.s**2 * attached(view.s, *np.asarray(inner))
+            return Column(view.pattern((*self.at, GROUND), "internal"), own * (view.D @ view.weights(self.at)))
         q = view.pattern(self.at, self.group)
+        inner = float(inner)
         phi = np.zeros((len(view.r), len(view.s)), dtype=np.complex128)
         if self.group == "internal" and self.kind in LINEAR:
             phi[:] = (view.D @ view.weights(self.at)) * view.s ** LINEAR[self.kind]  # type: ignore[index]
@@ -117,20 +124,32 @@ class Candidate:
         values = [1.0, inner][: self.parameters]
         return self.kind(self.at, *values)  # type: ignore[return-value]
 
-    def effect(self, coefficient: float, inner: float) -> Effect | None:
+    def effect(self, coefficient: float, inner: float | Real) -> Effect | None:
         """Effect with these numbers; None if they are none that it can have."""
         names = self.kind.parameter_names()
         if self.kind in (ActuatorGain, SensorGain):
             values = [1.0 + coefficient]
         elif self.group != "internal" and len(names) == 1:
-            values = [inner]
+            values = [float(inner)]
+        elif self.kind is Resonator:
+            values = [coefficient, *(float(value) for value in np.asarray(inner))]
         else:
-            values = [coefficient, inner][: len(names)]
+            values = [coefficient, float(inner)][: len(names)]
         if self.kind is ActuatorHysteresis and not 0 < coefficient <= 1:
             return None
         if any(name in self.kind.positive and value <= 0 for name, value in zip(names, values, strict=True)):
             return None
         return self.kind(self.at, *values)
+
+
+def attached(s: Complex, frequency: float, damping_ratio: float) -> Complex:
+    """Motion of an attached mass relative to that of its node, ``(w0^2 + 2 z w0 s)/(s^2 + 2 z w0 s + w0^2)``.
+
+    Its force on the node is ``m s^2`` times this times the node's displacement, against the effects' sign.
+    """
+    w = 2 * np.pi * frequency
+    carried = w**2 + 2 * damping_ratio * w * s
+    return np.asarray(carried / (s**2 + carried))
 
 
 def lines(samples: Real, kept: int) -> Complex:
@@ -193,7 +212,7 @@ def candidates_at(group: str, at: tuple[str, ...]) -> list[Candidate]:
     """Every effect that can act at a place; one that is not symmetric also the other way round."""
     if group == "internal":
         found = [Candidate(kind, at, group) for kind in (*LINEAR, *INTERNAL)]
-        if at[1] != "ground":
+        if at[1] != GROUND:
             found.append(Candidate(OneSidedStop, (at[1], at[0]), group))
         return found
     return [Candidate(kind, at, group) for kind in (ACTUATOR if group == "actuator" else SENSOR)]
@@ -209,10 +228,10 @@ def places(view: View) -> list[tuple[str, tuple[str, ...]]]:
 Score = Callable[[Column], float]
 
 
-def optimise(candidate: Candidate, view: View, experiments: Indices, score: Score) -> float:
+def optimise(candidate: Candidate, view: View, experiments: Indices, score: Score) -> float | Real:
     """Inner parameter with the least score: the best of the grid, then Brent's method around it."""
-    from scipy.optimize import minimize_scalar
-
+    if candidate.kind is Resonator:
+        return _resonance(candidate, view, experiments, score)
     grid = candidate.grid(view, experiments)
     if len(grid) == 1:
         return float(grid[0])
@@ -229,6 +248,25 @@ def optimise(candidate: Candidate, view: View, experiments: Indices, score: Scor
         options={"xatol": 1e-4 * (high - low), "maxiter": 18},
     )
     return float(result.x) if result.fun < scores[best] else float(grid[best])
+
+
+def _resonance(candidate: Candidate, view: View, experiments: Indices, score: Score) -> Real:
+    """Frequency and damping ratio of a resonator: the best of a grid, then the simplex method."""
+    rig = view.rig
+    resolution = rig.sample_rate / rig.period_samples
+    low, high = 0.7 * max(rig.lines[0], 2) * resolution, 1.4 * rig.lines[-1] * resolution
+    grid = [(f, z) for z in (0.003, 0.01, 0.03, 0.1, 0.3) for f in np.geomspace(low, high, 48)]
+    scores = [score(candidate.column(view, np.array(point), experiments)) for point in grid]
+    found = []
+    for best in np.argsort(scores)[:2]:
+        result = minimize(
+            lambda x: score(candidate.column(view, np.exp(x), experiments)),
+            np.log(grid[best]),
+            method="Nelder-Mead",
+            options={"xatol": 1e-4, "fatol": 1e-6 * scores[best], "maxfev": 80},
+        )
+        found.append((result.fun, result.x))
+    return np.asarray(np.exp(min(found, key=lambda item: item[0])[1]))
 
 
 def group_of(at: Sequence[str], kind: type[Effect]) -> str:

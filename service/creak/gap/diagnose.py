@@ -14,7 +14,7 @@ from creak.gap.records import Cause, Diagnosis, GapLevels, MissingForce, Validat
 from creak.gap.refine import Refined, Setting, refine
 from creak.gap.regression import Indices
 from creak.gap.search import Ranked, Search, Searched
-from creak.gap.verdict import as_causes, judge, probabilities
+from creak.gap.verdict import CLOSED, FEW, WITHIN_DB, as_causes, judge, probabilities
 from creak.gap.view import hold_factor, lines_of
 from creak.mechanics.structure import MeasuredResponse
 from creak.mechanics.system import Model
@@ -24,7 +24,8 @@ from creak.records import Rig
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done, 0 to 1."""
 
-_STEPS_FINAL = 3
+_STEPS_FINAL = 2
+_FINE = 2  # samples of the elements a sample of the rig in the last fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +157,7 @@ def _concluded(
         )
     named = as_causes(setting, final, searched, chances, halves.fitted, shown, gap)
     corrected = apply(model, final.hypothesis)
-    where = missing_force(setting, final.hypothesis, searched.places, halves.fitted)
+    where, seen, shown_there = _where(setting, final.hypothesis, searched, halves)
     progress("done", 1.0)
     return replace(
         result,
@@ -167,7 +168,7 @@ def _concluded(
         causes=named.causes,
         alternatives=named.alternatives,
         linear_corrections=named.corrections,
-        curves=force_curves(setting, final.hypothesis, where, halves.fitted),
+        curves=force_curves(seen, shown_there, where, halves.fitted),
         unknown_probability=unknown,
         corrected=corrected,
         tested=tested,
@@ -175,9 +176,19 @@ def _concluded(
     )
 
 
+def _where(
+    setting: Setting, hypothesis: Hypothesis, searched: Searched, halves: _Halves
+) -> tuple[tuple[MissingForce, ...], Setting, Hypothesis]:
+    """Places of the effects; linear corrections beside them are in the model that they are seen through."""
+    if hypothesis.effects and len(hypothesis.linear) > FEW:
+        corrected = apply(setting.model, Hypothesis(linear=hypothesis.linear))
+        setting, hypothesis = replace(setting, model=corrected), replace(hypothesis, linear=())
+    return missing_force(setting, hypothesis, searched.places, halves.fitted), setting, hypothesis
+
+
 def _final(setting: Setting, refined: Refined, halves: _Halves) -> Refined:
     """Fit once more, to all experiments that may be fitted."""
-    final = refine(setting, refined.hypothesis, halves.fitted, halves.held[:6], _STEPS_FINAL)
+    final = refine(setting, refined.hypothesis, halves.fitted, halves.held[:6], _STEPS_FINAL, _FINE)
     return final if final.settled else refined
 
 
@@ -209,9 +220,60 @@ def _notes(rig: Rig, data: PeriodicData, halves: _Halves) -> list[str]:
     return notes
 
 
-def validate(rig: Rig, diagnosis: Diagnosis, other: PeriodicData) -> Validation:
-    """See whether a corrected model holds in another recording, at best at another amplitude."""
-    raise NotImplementedError
+def validate(rig: Rig, model: Model, diagnosis: Diagnosis, other: PeriodicData) -> Validation:
+    """See whether a corrected model holds in another recording, at best at another amplitude.
+
+    An effect of the right kind keeps its parameters there; one that stands in for another was right at one
+    amplitude only, and needs other numbers at the second or does not fit at all.
+
+    Parameters
+    ----------
+    rig : Rig
+    model : Model
+        As it was diagnosed.
+    diagnosis : Diagnosis
+    other : PeriodicData
+
+    Returns
+    -------
+    Validation
+    """
+    every = np.arange(len(other.u))
+    old = Setting(rig, model, other, len(other.variance)).simulate(Hypothesis(), every)
+    setting = Setting(rig, diagnosis.corrected, other, len(other.variance))
+    new = setting.simulate(Hypothesis(), every)
+    before, after = level(other, old.y, every), level(other, new.y, every)
+    gap = gap_levels(before, after, gap=True)
+    rest = other.Y - lines_of(old.y)
+    division = divide(rig, other, rest, lines_of(other.u) * hold_factor(rig)[:, None])
+    nodes = node_gaps(rig, before, after, division)
+    named = ", ".join(f"{cause.effect} at {'-'.join(cause.at)}" for cause in diagnosis.causes) or "the linear corrections"
+    if diagnosis.verdict in (Verdict.NO_GAP, Verdict.UNKNOWN):
+        holds = after.whitened <= noise_bound(other, len(every))
+        state = "agrees with the other recording too" if holds else "leaves a gap in the other recording"
+        return Validation(holds, gap, nodes, {}, f"Nothing was put into the model; it {state}.")
+    if not new.settled:
+        return Validation(False, gap, nodes, {}, "The corrected model does not settle at the other recording's inputs.")
+    holds = (gap.closed or 0.0) >= CLOSED and gap.after_db <= gap.noise_db + WITHIN_DB
+    if holds:
+        return Validation(True, gap, nodes, {}, f"The model with {named} holds in the other recording.")
+    refitted = _refitted(setting, diagnosis, other)
+    moved = "; fitted anew it has other parameters there" if refitted else ""
+    return Validation(
+        False, gap, nodes, refitted, f"{named} stands in for another effect: it does not hold in the other recording{moved}."
+    )
 
 
-__all__ = ["Cause", "GapLevels", "MissingForce", "Ranked", "diagnose", "validate"]
+def _refitted(setting: Setting, diagnosis: Diagnosis, other: PeriodicData) -> dict[str, float]:
+    """Parameters of the causes fitted to another recording; empty where that does not settle."""
+    model = diagnosis.corrected
+    wanted = [(cause.effect, cause.at) for cause in diagnosis.causes]
+    chosen = [i for i, effect in enumerate(model.effects) if (effect.effect, effect.at) in wanted]
+    hypothesis = Hypothesis(tuple(model.effects[i] for i in chosen), (), tuple(chosen))
+    few = np.arange(len(other.u))[:6]
+    refined = refine(replace(setting, top=_top(setting.rig, other, other.Y)), hypothesis, few, few[:0], 3, 1)
+    if not refined.settled:
+        return {}
+    return {
+        f"{effect}: {name}": value for effect in refined.hypothesis.effects for name, value in effect.parameters().items()
+    }

@@ -19,8 +19,8 @@ from creak.mechanics.steady import SteadyState, simulate_steady
 from creak.mechanics.system import Model, System, assemble
 from creak.records import Complex, Real, Rig
 
-_TOLERANCE = 1e-7
-_STEP = 1e-4  # of a parameter, for difference quotients
+_TOLERANCE = 1e-6
+_STEP = 1e-3  # of a parameter, for difference quotients
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,10 @@ from creak.gap.candidates import Candidate, candidates_at, group_of, optimise, p
 from creak.gap.hypothesis import Hypothesis, LinearKey
 from creak.gap.regression import LINEAR, Column, Indices, Sums
 from creak.gap.view import View
-from creak.mechanics.effects import Effect
+from creak.mechanics.effects import GROUND, Effect, Resonator
 from creak.records import Real
 
+_FAILED = 2.0  # whitened power beyond which a law has not explained a place, and a hidden mode is tried there
 _SMALL = 6  # experiments on which inner parameters are searched
 
 
@@ -31,7 +32,7 @@ class Trial:
     """A candidate with its inner parameter and the column that it makes."""
 
     candidate: Candidate
-    inner: float
+    inner: float | Real
     column: Column
     rest: float
 
@@ -94,6 +95,8 @@ class Scan:
             if candidate.kind in LINEAR and (free.any() or _massless(candidate)):
                 continue
             found.append(self.trial(candidate, free, beside))
+        if group == "internal" and at[1] == GROUND and kinds is None and min(item.rest for item in found) > _FAILED:
+            found.append(self.trial(Candidate(Resonator, at[:1], group), free, beside))
         return sorted(found, key=lambda item: item.rest)
 
     def trial(self, candidate: Candidate, free: NDArray[np.bool_], beside: Sequence[Column] = ()) -> Trial:
@@ -176,7 +179,7 @@ class Scan:
 
 
 def _massless(candidate: Candidate) -> bool:
-    return candidate.kind.effect == "mass" and candidate.at[1] != "ground"
+    return candidate.kind.effect == "mass" and candidate.at[1] != GROUND
 
 
 def same_place(a: tuple[str, ...], b: tuple[str, ...]) -> bool:

@@ -11,16 +11,17 @@ from creak.gap.refine import Refined, Setting, refine
 from creak.gap.regression import Indices
 from creak.gap.scan import Found, Scan, Trial, combos, replacement
 from creak.gap.view import see
-from creak.mechanics.effects import Resonator, Restoring
+from creak.mechanics.effects import CoulombFriction, Hysteresis, Resonator, Restoring
 from creak.mechanics.electronics import Electronic
 
 Report = Callable[[str, float], None]
 
 CLOSED = 5e-3  # of the excess over noise that an explanation may leave
 FLOOR = 1.08  # times noise that it may leave
-_FEW = 6  # experiments on which hypotheses compete
+_FEW = 4  # experiments on which hypotheses compete
 _PLACES = 4  # best places at which laws are tried
 _HOPELESS = 1e-3  # of the excess: what a regression may leave and its output-error fit still reach noise
+_SHARP = CoulombFriction | Hysteresis  # whose harmonics fold if the solver takes the rig's samples alone
 _COMPETING = 4  # best regressions that are fitted to the output
 
 
@@ -72,7 +73,7 @@ class Search:
         degrees = setting.data.degrees
         self.floor = degrees / (degrees - 1)
         self.few = fitted[np.linspace(0, len(fitted) - 1, min(_FEW, len(fitted))).astype(int)]
-        self.aside = held[:_FEW] if len(held) else self.few
+        self.aside = held[: _FEW - 1] if len(held) else self.few
         self.before = self._scan(setting).rest()
 
     def run(self) -> Searched:
@@ -85,7 +86,7 @@ class Search:
         if self._explains(stage):
             return Searched(stage, True, places)
         self.report("linear elements", 0.35)
-        beside = self._compete(self._beside_linear())
+        beside = self._beside_linear()
         if self._explains(beside):
             return Searched(beside, True, self._places_after(beside[0]))
         self.report("two effects", 0.6)
@@ -121,7 +122,12 @@ class Search:
         found = []
         for _, group, at in _worth(places):
             trials[at] = scan.trials(group, at, free)
-            found += [scan.hypothesis([trial], free) for trial in trials[at] if np.isfinite(trial.rest)]
+            had = {(type(effect), effect.at) for effect in self.setting.model.effects}
+            found += [
+                scan.hypothesis([trial], free)
+                for trial in trials[at]
+                if np.isfinite(trial.rest) and (trial.candidate.kind, trial.candidate.at) not in had
+            ]
         return sorted(found, key=lambda item: item.rest), trials
 
     def _replacements(self) -> list[Found]:
@@ -133,27 +139,24 @@ class Search:
                 found.append(replacement(self._scan(without), effect, i))
         return found
 
-    def _beside_linear(self) -> list[Found]:
+    def _beside_linear(self) -> tuple[Ranked, ...]:
         """Linear elements alone, and one effect beside them; whitened anew with the corrected linear part."""
-        setting = self.setting
-        found: list[Found] = []
-        scan = self._scan(setting)
-        keys = {own.key for own in own_elements(setting.model)}
+        scan = self._scan(self.setting)
+        keys = {own.key for own in own_elements(self.setting.model)}
         own = np.array([element in keys for element in scan.sums.elements])
-        frees = [own, ~scan.none] if own.any() else [~scan.none]
-        for free in frees:
+        every: list[Ranked] = []
+        for free in [own, ~scan.none] if own.any() else [~scan.none]:
             alone = scan.hypothesis([], free)
-            hypotheses = [alone]
-            if alone.rest > FLOOR:
+            stage = self._compete(self._again(alone, free))
+            if not self._explains(stage):
                 singles, _ = self._singles(scan, scan.places(free), free)
-                hypotheses += singles[:1]
-            for first in hypotheses:
-                if not np.isfinite(first.rest):
-                    continue
-                found += self._again(first, free)
-            if found and min(item.rest for item in found) < FLOOR:
-                break
-        return found
+                found = [again for first in singles[:1] for again in self._again(first, free)]
+                stage = (*stage, *self._compete(found))
+            stage = tuple(sorted(stage, key=lambda item: item.score))
+            if self._explains(stage):
+                return stage
+            every += stage
+        return tuple(sorted(every, key=lambda item: item.score))
 
     def _again(self, first: Found, free: NDArray[np.bool_]) -> list[Found]:
         """Rank once more, seen through the model with its linear part corrected; then drop what does not matter."""
@@ -223,12 +226,16 @@ class Search:
         if not found:
             return ()
         least = found[0].rest - 1
-        if least > max(1.0, _HOPELESS * (self.before - 1)):
+        if least > max(3.0, _HOPELESS * (self.before - 1)):
             return ()
         close = [item for item in found[:_COMPETING] if item.rest - 1 <= max(0.3, 12 * least)]
         ranked = []
         for item in close:
-            refined = refine(self.setting, item.hypothesis, self.few, self.aside, oversampling=1)
+            fine = 2 if any(isinstance(effect, _SHARP) for effect in item.hypothesis.effects) else 1
+            refined = refine(self.setting, item.hypothesis, self.few, self.aside, 3, fine)
+            sharper = significant(refined)
+            if refined.settled and sharper.size < refined.hypothesis.size:
+                refined = refine(self.setting, sharper, self.few, self.aside, 2, fine)
             if refined.settled:
                 ranked.append(Ranked(refined, self._score(refined)))
         return tuple(sorted(ranked, key=lambda item: item.score))
@@ -243,6 +250,14 @@ class Search:
         linear = Hypothesis(linear=best.hypothesis.linear)
         scan = self._scan(replace(self.setting, model=apply(self.setting.model, linear)))
         return scan.places(scan.none)
+
+
+def significant(refined: Refined) -> Hypothesis:
+    """Hypothesis without the linear changes that lie within four standard errors of nothing."""
+    linear = refined.hypothesis.linear
+    errors = np.sqrt(np.maximum(np.diag(refined.covariance), 0.0))[refined.hypothesis.size - len(linear) :]
+    kept = tuple(item for item, error in zip(linear, errors, strict=True) if abs(item[1]) > 4 * error)
+    return replace(refined.hypothesis, linear=kept)
 
 
 def _worth(
