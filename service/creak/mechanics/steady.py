@@ -19,6 +19,7 @@ from creak.mechanics import harmonic
 from creak.mechanics.electronics import AT_REST
 from creak.mechanics.newmark import Stepper
 from creak.mechanics.system import System
+from creak.mechanics.tangents import force_change
 from creak.records import Complex, Hold, Real
 
 TOLERANCE: Final = 1e-9
@@ -111,8 +112,9 @@ def simulate_steady(
 
     Notes
     -----
-    With nonlinear elements several periodic motions may exist, and an unstable one may be found. The solver
-    begins at the equivalent linear system, or at the guess.
+    With nonlinear elements several periodic motions may exist. The solver begins at the equivalent linear
+    system, or at the guess; where an element at some time pushes away harder than the structure holds it, it
+    begins at the motion that time stepping from rest comes to.
     """
     u = np.asarray(u, dtype=np.float64)
     acting = _acting(system, u, sample_rate)
@@ -285,6 +287,16 @@ def _solve(
                 D[e], residual[e], steps = harmonic.newton(problem, map_, start, int(e), tolerance)
                 iterations[e] += steps
             failed += int(not residual[e] <= tolerance)
+        for e in np.flatnonzero(_pushed_away(problem, D)):
+            # An unstable motion satisfies the equations too; what time stepping from rest comes to counts.
+            waited = _waited(system, acting[e], sample_rate, hold, stopped)
+            residual[e] = np.inf
+            if waited is not None:
+                start = problem.lines(resampled(waited, size))
+                D[e], residual[e], steps = harmonic.newton(problem, map_, start, int(e), tolerance)
+                iterations[e] += steps
+            if not residual[e] <= tolerance:
+                break
         motion, velocity = problem.motion(D)
         force = problem.forces(motion, velocity)
         F = problem.lines(force)
@@ -299,6 +311,20 @@ def _solve(
             factor,
             _folded(problem, map_, motion, velocity, F),
         )
+
+
+def _pushed_away(problem: harmonic.Problem, D: Complex) -> NDArray[np.bool_]:
+    """Experiments in which an element at some time pushes away harder than the structure holds it, ``(E,)``."""
+    d, v = problem.motion(D)
+    f = problem.forces(d, v)
+    found = np.zeros(len(d), dtype=bool)
+    for i, element in enumerate(problem.elements):
+        held = problem.receptance[0, i, i].real
+        one, none = np.ones(problem.size), np.zeros(problem.size)
+        for e in range(len(d)):
+            slope = force_change(element.law, *element.constants(), d[e, i], v[e, i], f[e, i], one, none)
+            found[e] |= float(slope.min()) * held < -1.0
+    return found
 
 
 def _waited(
