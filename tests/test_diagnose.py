@@ -1,8 +1,10 @@
 """``creak diagnose`` as its users meet it: the document, the words, the files, and one line for what is wrong."""
 
 import json
+import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import gap_rig
@@ -60,6 +62,9 @@ def test_the_missing_spring_is_found_and_the_corrected_model_has_no_gap(place, c
     for node in document["nodes"]:
         assert node["linear_share"] + node["nonlinear_share"] + node["noise_share"] == pytest.approx(1)
     assert document["validation"] is None
+    (curve,) = document["curves"]
+    force, fitted = np.array(curve["force"]), np.array(curve["fitted"])
+    assert np.var(force - fitted) < 0.15 * np.var(force)  # the law lies over the measurement, but for its noise
     page = (place / "gap.html").read_text()
     assert "Verdict: explained" in page
     assert "a cubic spring between node 2 and ground" in page
@@ -198,14 +203,10 @@ def test_progress_is_told_to_a_program_that_asks(place, tmp_path):
 
 
 def _duplicate(file):
-    import os
-
     return os.dup(file.fileno())
 
 
 def _measurement(path):
-    import numpy as np
-
     rng = np.random.default_rng(1)
     u = np.tile(rng.standard_normal((4, 2, 1024)), 5)
     np.savez(path, u=u, y=u + 0.01 * rng.standard_normal(u.shape))

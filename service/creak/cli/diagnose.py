@@ -70,7 +70,7 @@ def diagnose(
         holding = None
         if other is not None:
             tell("the other recording", 1.0)
-            holding = hold(rig, found, _gathered(other, None, None, _silent))
+            holding = hold(rig, believed, found, _gathered(other, None, None, _silent))
         if page is not None:
             from creak.report.page import write_page
 

@@ -25,7 +25,11 @@ def acting_places(hypothesis: Hypothesis) -> list[tuple[str, tuple[str, ...]]]:
     """Places that a hypothesis names, as group and names, each once."""
     found: list[tuple[str, tuple[str, ...]]] = []
     for effect in hypothesis.effects:
-        at = effect.at if group_of(effect.at, type(effect)) != "internal" or len(effect.at) > 1 else (*effect.at, GROUND)
+        at = (
+            effect.at
+            if group_of(effect.at, type(effect)) != "internal" or len(effect.at) > 1
+            else (*effect.at, GROUND)
+        )
         if (group_of(effect.at, type(effect)), at) not in found:
             found.append((group_of(effect.at, type(effect)), at))
     for (_, at), _ in hypothesis.linear:
@@ -175,7 +179,7 @@ def _fitted(
     for effect in effects:
         sign = 1.0 if effect.at == at else -1.0
         if isinstance(effect, Restoring):
-            total += sign * effect.over_period(sign * d, sign * v)[0]
+            total += sign * effect.over_period(sign * d, sign * v)
         elif type(effect) in LINEAR:
             total += effect.parameters()["coefficient"] * parts[type(effect)]
     for (kind, _), change in linear:

@@ -88,11 +88,23 @@ def bands_picture(bands: Sequence[BandShare], nodes: Sequence[NodeGap]) -> str:
             panel.set_ylabel("% of the gap")
         for panel in panels.flat[len(names) :]:
             panel.set_visible(False)
-        for panel in panels[-1]:
+        for panel in panels.flat[max(0, len(names) - panels.shape[1]) : len(names)]:
             panel.set_xlabel("frequency, Hz")
+            panel.tick_params(labelbottom=True)
+        panels.flat[0].set_xlim(*_band_that_matters(bands))
         handles = panels.flat[0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside upper center", ncols=3, frameon=False)
         return _svg(figure)
+
+
+def _band_that_matters(bands: Sequence[BandShare]) -> tuple[float, float]:
+    """From the first band to the last that holds a thousandth of a node's gap; the rest is empty paper."""
+    power: dict[str, float] = {}
+    for band in bands:
+        power[band.node] = power.get(band.node, 0.0) + 10 ** (band.gap_db / 10)
+    kept = [band.band_hz for band in bands if 10 ** (band.gap_db / 10) >= 1e-3 * power[band.node]]
+    edges = kept or [band.band_hz for band in bands]
+    return min(low for low, _ in edges), max(high for _, high in edges)
 
 
 def _stack(panel: Any, bands: Sequence[BandShare]) -> None:

@@ -83,7 +83,7 @@ def _where(diagnosis: Diagnosis) -> Iterator[str]:
         [
             [
                 words.missing_place(force),
-                f"{100 * force.share:.1f} %",
+                words.percent(force.share),
                 f"{force.band_hz[0]:.4g} to {force.band_hz[1]:.4g} Hz",
                 f"{force.residual:.3g}",
             ]
@@ -193,7 +193,9 @@ def _decibels(level: float) -> str:
 
 
 def _probability(value: float) -> str:
-    return f"{value:.3f}" if value < 0.9995 else "above 0.999"
+    if value < 0.001:
+        return "below 0.001"
+    return f"{value:.3f}" if value <= 0.999 else "above 0.999"
 
 
 def _picture(svg: str, caption: str) -> str:

@@ -86,7 +86,7 @@ def summary(diagnosis: Diagnosis) -> list[str]:
         case Verdict.PARTLY_EXPLAINED:
             sentences.append(
                 f"{_listed(_named(diagnosis))} {'closes' if _single(diagnosis) else 'close'} "
-                f"{_percent(gap.closed)} of it, down to {gap.after_db:.1f} dB; "
+                f"{percent(gap.closed)} of it, down to {gap.after_db:.1f} dB; "
                 f"noise is {gap.noise_db:.1f} dB, so something else is missing, or it is not quite this."
             )
         case Verdict.UNKNOWN:
@@ -155,7 +155,7 @@ def split(node: NodeGap) -> str:
         "nonlinear distortion": node.nonlinear_share,
         "noise": node.noise_share,
     }
-    return ", ".join(f"{_percent(share)} {name}" for name, share in shares.items())
+    return ", ".join(f"{percent(share)} {name}" for name, share in shares.items())
 
 
 def _named(diagnosis: Diagnosis) -> list[str]:
@@ -175,16 +175,17 @@ def _verb(diagnosis: Diagnosis) -> str:
 
 
 def _places(where: Iterable[MissingForce]) -> str:
-    return _listed([f"{missing_place(force)} ({_percent(force.share)})" for force in where])
+    return _listed([f"{missing_place(force)} ({percent(force.share)})" for force in where])
 
 
 def _listed(items: list[str]) -> str:
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
 
 
-def _percent(share: float | None) -> str:
+def percent(share: float | None) -> str:
+    """A share with as many digits as show what it lacks, or how little it is."""
     if share is None or not math.isfinite(share):
         return "an unknown share"
-    if 0.99 < share < 0.99995:
-        return f"{100 * share:.2f} %"
-    return f"{100 * share:.0f} %"
+    if 0.99 < share < 1:
+        return f"{min(100 * share, 99.99):.2f} %"
+    return f"{100 * share:.{0 if share >= 0.095 or share == 0 else 1}f} %"
