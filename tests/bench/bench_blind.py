@@ -35,7 +35,7 @@ def brief(index, result):
     return (
         f"{index:4d} {truth['structure']:5s} {truth['effect'] or 'no gap'}@{'-'.join(truth['at'])}"
         f"{' +linear error' if truth['linear_error'] else ''} {score.clearness(truth):.0f} dB -> {said} "
-        f"{', '.join(causes)} {result['seconds']:.0f} s{' WRONG: ' + ', '.join(wrong) if wrong else ''}"
+        f"{', '.join(causes)} {result['cpu_seconds']:.0f} s{' WRONG: ' + ', '.join(wrong) if wrong else ''}"
     )
 
 

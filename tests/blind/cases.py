@@ -93,6 +93,7 @@ def _attempt(rng, kind, off):
     simulated = effects.responses(structures.assemble(believed), None, (), {}, u, fs, order, held)
     repeated = np.tile(y, periods + 1)
     repeated = repeated + sigma[:, None] * rng.standard_normal(repeated.shape)
+    there = [(effect, at, values)] if effect else []
     truth = {
         "kind": kind,
         "effect": effect,
@@ -106,7 +107,7 @@ def _attempt(rng, kind, off):
         "realisations": realisations,
         "periods": periods,
         "snr_db": snr_db,
-        "model": None if kind == "outside" else structures.model_text(spec, [(effect, at, values)] if effect else []),
+        "model": None if kind == "outside" else structures.model_text(spec, there),
         "effect_to_noise_db": _ratio_db(y - plain, power, noise),
         "gap_to_noise_db": _ratio_db(y - simulated, power, noise),
     }

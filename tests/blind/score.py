@@ -133,8 +133,8 @@ def summary(trials):
         "within_1_96_standard_errors": sum(abs(v) < 1.96 for v in deviates) / len(deviates) if deviates else None,
         "closed_median": middle(mark["closed"] for mark in marks if "closed" in mark),
         "with_extra_causes": sum(mark.get("extra causes", 0) > 0 for mark in marks),
-        "seconds_median": middle(trial["seconds"] for trial in trials),
-        "seconds_most": max((trial["seconds"] for trial in trials), default=math.nan),
+        "seconds_median": middle(trial["cpu_seconds"] for trial in trials),
+        "seconds_most": max((trial["cpu_seconds"] for trial in trials), default=math.nan),
         "confusion": {name: dict(row) for name, row in sorted(confusion.items())},
     }
 
@@ -157,7 +157,7 @@ def tables(result):
         f"{shown(result['within_1_96_standard_errors'], '{:.1%}')} within 1.96 of their standard errors. "
         f"Closed, median: {shown(result['closed_median'], '{:.3%}')} (goal 99.9 %). "
         f"With causes that are none: {result['with_extra_causes']}. "
-        f"Seconds a diagnosis: median {shown(result['seconds_median'], '{:.1f}')}, "
+        f"Processor seconds a diagnosis: median {shown(result['seconds_median'], '{:.1f}')}, "
         f"most {result['seconds_most']:.1f}.",
         "",
     ]

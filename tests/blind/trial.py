@@ -7,6 +7,7 @@ tell the case, without the generator on its path; seeds stand in no file.
 
 import json
 import os
+import resource
 import secrets
 import shutil
 import subprocess
@@ -50,6 +51,12 @@ def creak(folder, timeout, *arguments):
     )
 
 
+def _used():
+    """Processor time of all ended child processes, s."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
 def run(case, folder, timeout=300.0):
     """Have one case diagnosed.
 
@@ -64,7 +71,8 @@ def run(case, folder, timeout=300.0):
     Returns
     -------
     dict
-        truth, answer (the JSON of ``creak diagnose``, or None), error (its last line, or None), seconds.
+        truth, answer (the JSON of ``creak diagnose``, or None), error (its last line, or None), seconds
+        (elapsed) and cpu_seconds (of the diagnosis, which tell more on a machine that is shared).
     """
     inside = folder / secrets.token_hex(8)
     inside.mkdir()
@@ -78,7 +86,7 @@ def run(case, folder, timeout=300.0):
     for name in ("measured.npz", "rig.toml"):
         (inside / name).unlink()
     answer, error = None, None
-    begun = time.monotonic()
+    begun, used = time.monotonic(), _used()
     try:
         done = creak(inside, timeout, "diagnose", "recording.mcap", "--model", "model.toml", "--json")
         if done.returncode == 0:
@@ -87,8 +95,8 @@ def run(case, folder, timeout=300.0):
             error = (done.stderr.strip() or "no message").splitlines()[-1]
     except subprocess.TimeoutExpired:
         error = f"no answer within {timeout:g} s"
-    seconds = time.monotonic() - begun
+    spent = {"seconds": time.monotonic() - begun, "cpu_seconds": _used() - used}
     shutil.rmtree(inside)
     truth = unseal(folder / "truth.sealed", key)
     (folder / "truth.sealed").unlink()
-    return {"truth": truth, "answer": answer, "error": error, "seconds": seconds}
+    return {"truth": truth, "answer": answer, "error": error, **spent}
