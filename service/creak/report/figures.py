@@ -80,50 +80,37 @@ def bands_picture(bands: Sequence[BandShare], nodes: Sequence[NodeGap]) -> str:
     names = [node.name for node in nodes if node in largest]
     height = math.ceil(len(names) / 2)
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(9.0, 1.2 + 2.0 * height), layout="constrained")
-        panels = figure.subplots(height, min(2, len(names)), squeeze=False, sharex=True)
+        figure = Figure(figsize=(9.0, 0.8 + 2.4 * height), layout="constrained")
+        panels = figure.subplots(height, min(2, len(names)), squeeze=False)
         for panel, name in zip(panels.flat, names, strict=False):
             _stack(panel, sorted((band for band in bands if band.node == name), key=lambda band: band.band_hz))
             panel.set_title(f"node {name}", loc="left", fontsize=10)
             panel.set_ylabel("% of the gap")
+            panel.set_xlabel("band, Hz")
         for panel in panels.flat[len(names) :]:
             panel.set_visible(False)
-        for panel in panels.flat[max(0, len(names) - panels.shape[1]) : len(names)]:
-            panel.set_xlabel("frequency, Hz")
-            panel.tick_params(labelbottom=True)
-        panels.flat[0].set_xlim(*_band_that_matters(bands))
         handles = panels.flat[0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside upper center", ncols=3, frameon=False)
         return _svg(figure)
 
 
-def _band_that_matters(bands: Sequence[BandShare]) -> tuple[float, float]:
-    """From the first band to the last that holds a thousandth of a node's gap; the rest is empty paper."""
-    power: dict[str, float] = {}
-    for band in bands:
-        power[band.node] = power.get(band.node, 0.0) + 10 ** (band.gap_db / 10)
-    kept = [band.band_hz for band in bands if 10 ** (band.gap_db / 10) >= 1e-3 * power[band.node]]
-    edges = kept or [band.band_hz for band in bands]
-    return min(low for low, _ in edges), max(high for _, high in edges)
-
-
 def _stack(panel: Any, bands: Sequence[BandShare]) -> None:
-    """Bars as wide as the bands, as high as what each adds to the node's gap."""
-    left = [band.band_hz[0] for band in bands]
-    width = [band.band_hz[1] - band.band_hz[0] for band in bands]
+    """One bar a band, as high as what the band adds to the node's gap."""
     powers = np.array([10 ** (band.gap_db / 10) for band in bands])
     percent = 100 * powers / (powers.sum() or 1.0)
+    rows = np.arange(len(bands))
     base = np.zeros(len(bands))
     for label, color, shares in (
-        ("linear error of the model", LINEAR, [band.linear_share for band in bands]),
+        ("linear part", LINEAR, [band.linear_share for band in bands]),
         ("nonlinear distortion", NONLINEAR, [band.nonlinear_share for band in bands]),
         ("noise", NOISE, [band.noise_share for band in bands]),
     ):
         heights = percent * np.maximum(shares, 0.0)
-        panel.bar(
-            left, heights, width, base, align="edge", color=color, label=label, edgecolor="white", linewidth=0.5
-        )
+        panel.bar(rows, heights, 0.8, base, color=color, label=label)
         base += heights
+    labels = ["–".join(f"{edge:.{0 if edge >= 100 else 1}f}" for edge in band.band_hz) for band in bands]
+    panel.set_xticks(rows, labels, fontsize=7, rotation=30, rotation_mode="anchor", ha="right")
+    panel.grid(visible=False, axis="x")
 
 
 def curve_picture(curve: ForceCurve) -> str:

@@ -152,7 +152,9 @@ def _reading() -> Iterator[str]:
         "The gap is the power of measured minus simulated over that of measured, over all frequencies, in dB: at "
         "0 dB the model says nothing about the structure, at −20 dB a hundredth of the power is left. It is "
         "computed by simulating anew the realisations kept aside. Noise is what the same figure would be for a "
-        "perfect model. The missing force is what the structure felt beyond what the model says; intervals hold "
+        "perfect model. The linear part of a gap is what follows the inputs linearly: wrong masses, stiffnesses "
+        "and dampings, and what a nonlinear effect adds to them on average; the rest above noise is nonlinear "
+        "distortion. The missing force is what the structure felt beyond what the model says; intervals hold "
         "the true value in 95 of 100 repetitions."
     )
 

@@ -151,7 +151,7 @@ def quantity(value: float, standard_error: float, unit: str) -> str:
 def split(node: NodeGap) -> str:
     """How the gap of a node divides, in words."""
     shares = {
-        "linear error of the model": node.linear_share,
+        "linear part": node.linear_share,
         "nonlinear distortion": node.nonlinear_share,
         "noise": node.noise_share,
     }
