@@ -44,7 +44,7 @@ class JobRunner:
 
     def __init__(self, store: Store, directory: Path, *, at_once: int = 1, max_seconds: float = 1800.0) -> None:
         self._store = store
-        self._directory = directory
+        self._directory = directory.absolute()
         self._max_seconds = max_seconds
         self._stopping = threading.Event()
         self._threads = [
