@@ -82,7 +82,11 @@ class Candidate:
                 return np.asarray(gaps)
             return np.concatenate([-gaps[::-1], [0.0], gaps])
         i = view.names.index(self.at[0])
-        signal = view.u[experiments, view.rig.driven.index(i)] if self.group == "actuator" else view.motion[experiments, i]
+        signal = (
+            view.u[experiments, view.rig.driven.index(i)]
+            if self.group == "actuator"
+            else view.motion[experiments, i]
+        )
         rms, peak = float(np.std(signal)), float(np.max(np.abs(signal)))
         if self.kind in (ActuatorSaturation, SensorClipping):
             return peak * np.linspace(0.1, 0.98, 14)
@@ -114,7 +118,11 @@ class Candidate:
             phi[experiments] = lines(law.over_period(d, v), len(view.s))
             return Column(q, phi)
         i = view.names.index(self.at[0])
-        samples = view.u[experiments, view.rig.driven.index(i)] if self.group == "actuator" else view.motion[experiments, i]
+        samples = (
+            view.u[experiments, view.rig.driven.index(i)]
+            if self.group == "actuator"
+            else view.motion[experiments, i]
+        )
         changed, fixed = _electronic(self.kind, samples, inner, view.rig.sample_rate)
         phi[experiments] = lines(changed, len(view.s))
         return Column(q, phi, fixed)
@@ -274,5 +282,3 @@ def group_of(at: Sequence[str], kind: type[Effect]) -> str:
     if kind in ACTUATOR:
         return "actuator"
     return "sensor" if kind in SENSOR else "internal"
-
-

@@ -10,14 +10,14 @@ from creak.gap.force import force_curves, missing_force
 from creak.gap.hypothesis import Hypothesis, apply
 from creak.gap.levels import Level, band_shares, db, divide, gap_levels, level, node_gaps, noise_bound
 from creak.gap.periodic import PeriodicData
-from creak.gap.records import Cause, Diagnosis, GapLevels, MissingForce, Validation, Verdict
+from creak.gap.records import Diagnosis, MissingForce, Validation, Verdict
 from creak.gap.refine import Refined, Setting, refine
 from creak.gap.regression import Indices
-from creak.gap.search import Ranked, Search, Searched
+from creak.gap.search import Search, Searched
 from creak.gap.verdict import CLOSED, FEW, WITHIN_DB, as_causes, judge, probabilities
-from creak.gap.view import hold_factor, lines_of
+from creak.gap.view import check_stable, hold_factor, lines_of
 from creak.mechanics.structure import MeasuredResponse
-from creak.mechanics.system import Model
+from creak.mechanics.system import Model, assemble
 from creak.mechanics.vocabulary import VOCABULARY
 from creak.records import Rig
 
@@ -25,7 +25,6 @@ Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done, 0 to 1."""
 
 _STEPS_FINAL = 2
-_FINE = 2  # samples of the elements a sample of the rig in the last fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,9 @@ def _halves(data: PeriodicData) -> _Halves:
     """Keep the last fifth of the realisations aside, at least one if there are two."""
     indices = np.unique(data.realisation)
     aside = max(1, round(len(indices) / 5)) if len(indices) > 1 else 0
-    held = np.isin(data.realisation, indices[len(indices) - aside :]) if aside else np.zeros(len(data.u), dtype=bool)
+    held = (
+        np.isin(data.realisation, indices[len(indices) - aside :]) if aside else np.zeros(len(data.u), dtype=bool)
+    )
     return _Halves(np.flatnonzero(~held), np.flatnonzero(held), aside)
 
 
@@ -71,7 +72,10 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _s
         If the model does not fit the rig or is unstable.
     """
     if isinstance(model, MeasuredResponse):
-        raise ConfigurationError("model", "kind", "'frf' cannot be diagnosed yet; allowed are lumped, matrices, beam")
+        raise ConfigurationError(
+            "model", "kind", "'frf' cannot be diagnosed yet; allowed are lumped, matrices, beam"
+        )
+    check_stable(assemble(model, rig))
     halves = _halves(data)
     shown = halves.held if len(halves.held) else halves.fitted
     notes = _notes(rig, data, halves)
@@ -110,7 +114,9 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _s
     search = Search(setting, halves.fitted, halves.held, progress)
     searched = search.run()
     if not searched.ranked and db(float(before.power.mean())) - db(float(before.noise.mean())) < 0.1:
-        notes.append("the gap lies outside the 99 % bound of noise, but less than 0.1 dB above it; no effect was found")
+        notes.append(
+            "the gap lies outside the 99 % bound of noise, but less than 0.1 dB above it; no effect was found"
+        )
         return replace(result, not_claimed=tuple(notes))
     progress("final fit", 0.85)
     return _concluded(result, setting, search, searched, halves, before, division, notes, progress)
@@ -188,7 +194,7 @@ def _where(
 
 def _final(setting: Setting, refined: Refined, halves: _Halves) -> Refined:
     """Fit once more, to all experiments that may be fitted."""
-    final = refine(setting, refined.hypothesis, halves.fitted, halves.held[:6], _STEPS_FINAL, _FINE)
+    final = refine(setting, refined.hypothesis, halves.fitted, halves.held[:6], _STEPS_FINAL)
     return final if final.settled else refined
 
 
@@ -247,20 +253,29 @@ def validate(rig: Rig, model: Model, diagnosis: Diagnosis, other: PeriodicData) 
     rest = other.Y - lines_of(old.y)
     division = divide(rig, other, rest, lines_of(other.u) * hold_factor(rig)[:, None])
     nodes = node_gaps(rig, before, after, division)
-    named = ", ".join(f"{cause.effect} at {'-'.join(cause.at)}" for cause in diagnosis.causes) or "the linear corrections"
+    named = (
+        ", ".join(f"{cause.effect} at {'-'.join(cause.at)}" for cause in diagnosis.causes)
+        or "the linear corrections"
+    )
     if diagnosis.verdict in (Verdict.NO_GAP, Verdict.UNKNOWN):
         holds = after.whitened <= noise_bound(other, len(every))
         state = "agrees with the other recording too" if holds else "leaves a gap in the other recording"
         return Validation(holds, gap, nodes, {}, f"Nothing was put into the model; it {state}.")
     if not new.settled:
-        return Validation(False, gap, nodes, {}, "The corrected model does not settle at the other recording's inputs.")
+        return Validation(
+            False, gap, nodes, {}, "The corrected model does not settle at the other recording's inputs."
+        )
     holds = (gap.closed or 0.0) >= CLOSED and gap.after_db <= gap.noise_db + WITHIN_DB
     if holds:
         return Validation(True, gap, nodes, {}, f"The model with {named} holds in the other recording.")
     refitted = _refitted(setting, diagnosis, other)
     moved = "; fitted anew it has other parameters there" if refitted else ""
     return Validation(
-        False, gap, nodes, refitted, f"{named} stands in for another effect: it does not hold in the other recording{moved}."
+        False,
+        gap,
+        nodes,
+        refitted,
+        f"{named} stands in for another effect: it does not hold in the other recording{moved}.",
     )
 
 
@@ -271,9 +286,11 @@ def _refitted(setting: Setting, diagnosis: Diagnosis, other: PeriodicData) -> di
     chosen = [i for i, effect in enumerate(model.effects) if (effect.effect, effect.at) in wanted]
     hypothesis = Hypothesis(tuple(model.effects[i] for i in chosen), (), tuple(chosen))
     few = np.arange(len(other.u))[:6]
-    refined = refine(replace(setting, top=_top(setting.rig, other, other.Y)), hypothesis, few, few[:0], 3, 1)
+    refined = refine(replace(setting, top=_top(setting.rig, other, other.Y)), hypothesis, few, few[:0], 3)
     if not refined.settled:
         return {}
     return {
-        f"{effect}: {name}": value for effect in refined.hypothesis.effects for name, value in effect.parameters().items()
+        f"{effect}: {name}": value
+        for effect in refined.hypothesis.effects
+        for name, value in effect.parameters().items()
     }

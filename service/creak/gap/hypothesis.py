@@ -81,7 +81,8 @@ def _moved(model: Lumped, kind: type[Internal], at: tuple[str, str], change: flo
     """Lumped model whose own element is changed; None if it has none, or would be left with less than nothing."""
     if kind is Mass:
         masses = [
-            PointMass(mass.name, mass.mass + change) if at == (mass.name, GROUND) else mass for mass in model.masses
+            PointMass(mass.name, mass.mass + change) if at == (mass.name, GROUND) else mass
+            for mass in model.masses
         ]
         if at[1] != GROUND or min(mass.mass for mass in masses) <= 0:
             return None

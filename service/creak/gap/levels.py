@@ -101,7 +101,7 @@ def divide(rig: Rig, data: PeriodicData, rest: Complex, U: Complex) -> Division:
     linear = np.zeros(rest.shape[1:])
     apart = np.mean(np.abs(rest) ** 2, axis=0)
     freedom = np.ones(rest.shape[1])
-    if E > q:
+    if q < E:
         u = U[:, excited].transpose(1, 0, 2)
         y = rest[:, excited].transpose(1, 0, 2)
         coherent = u @ (np.linalg.pinv(u) @ y)
@@ -119,10 +119,10 @@ def node_gaps(rig: Rig, before: Level, after: Level, division: Division) -> tupl
     """Levels and shares per node."""
     found = []
     for i, node in enumerate(rig.nodes):
-        shares = _shares(*(float(part[:, i].sum()) for part in (division.linear, division.nonlinear, division.noise)))
-        found.append(
-            NodeGap(node.name, db(before.power[i]), db(after.power[i]), db(before.noise[i]), *shares)
+        shares = _shares(
+            *(float(part[:, i].sum()) for part in (division.linear, division.nonlinear, division.noise))
         )
+        found.append(NodeGap(node.name, db(before.power[i]), db(after.power[i]), db(before.noise[i]), *shares))
     return tuple(found)
 
 

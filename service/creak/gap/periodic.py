@@ -45,7 +45,9 @@ class PeriodicData:
     pooled: int = 1
 
 
-_FEWEST_DEGREES = 24  # below this the noise of neighbouring lines is pooled: a variance from few periods is no weight
+_FEWEST_DEGREES = (
+    24  # below this the noise of neighbouring lines is pooled: a variance from few periods is no weight
+)
 _FLOOR = 1e-10  # least noise power relative to the response: rounding, where a recording has no noise at all
 
 
@@ -120,7 +122,9 @@ def _data(
         pooled = 2 * (-(-_FEWEST_DEGREES // degrees) // 2) + 1
         kernel = np.ones(pooled) / pooled
         padded = np.pad(variance, ((pooled // 2, pooled // 2), (0, 0)), mode="reflect")
-        variance = np.stack([np.convolve(padded[:, i], kernel, mode="valid") for i in range(variance.shape[1])], -1)
+        variance = np.stack(
+            [np.convolve(padded[:, i], kernel, mode="valid") for i in range(variance.shape[1])], -1
+        )
     power = np.mean(np.sum(np.abs(Y) ** 2, axis=1), axis=0)
     floor = _FLOOR * power / Y.shape[1] + np.finfo(float).tiny
     return PeriodicData(

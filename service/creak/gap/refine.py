@@ -4,6 +4,7 @@ The regression takes the laws at the measured motion, whose noise biases it; her
 estimate is that of maximum likelihood for white noise between lines, and its Jacobian gives the standard errors.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,11 +14,14 @@ from creak.gap.hypothesis import Hypothesis, apply
 from creak.gap.periodic import PeriodicData
 from creak.gap.regression import LINEAR, Indices
 from creak.gap.view import lines_of
-from creak.mechanics.effects import GROUND, Effect
+from creak.mechanics.effects import GROUND, Clearance, CoulombFriction, Effect, Hysteresis, OneSidedStop
 from creak.mechanics.electronics import ActuatorHysteresis
 from creak.mechanics.steady import SteadyState, simulate_steady
 from creak.mechanics.system import Model, System, assemble
 from creak.records import Complex, Real, Rig
+
+_POINTS = (((CoulombFriction, Hysteresis), 16384), ((Clearance, OneSidedStop), 8192))
+"""Points a period that a law needs; the others are smooth and do with 4096."""
 
 _TOLERANCE = 1e-6
 _STEP = 1e-3  # of a parameter, for difference quotients
@@ -57,9 +61,17 @@ class Setting:
             self.rig.sample_rate,
             self.rig.hold,
             guess=guess,
-            oversampling=oversampling,
+            oversampling=oversampling or self.samples_a_sample(hypothesis),
             tolerance=_TOLERANCE,
         )
+
+    def samples_a_sample(self, hypothesis: Hypothesis) -> int:
+        """Samples of the elements a sample of the rig, so that folded harmonics lie below usual noise."""
+        elements = self.system(hypothesis).elements
+        if not elements:
+            return 1
+        wanted = max(next((size for kinds, size in _POINTS if isinstance(e, kinds)), 4096) for e in elements)
+        return 2 ** max(0, math.ceil(math.log2(wanted / self.rig.period_samples)))
 
     def residual(self, y: Real, experiments: Indices, top: int | None) -> Complex:
         """Whitened difference of simulated and measured motion, ``(E, top, n)``."""
@@ -118,7 +130,12 @@ def with_vector(hypothesis: Hypothesis, values: Real) -> Hypothesis:
 
 
 def refine(
-    setting: Setting, hypothesis: Hypothesis, fitted: Indices, held: Indices, steps: int = 4, oversampling: int | None = None
+    setting: Setting,
+    hypothesis: Hypothesis,
+    fitted: Indices,
+    held: Indices,
+    steps: int = 4,
+    oversampling: int | None = None,
 ) -> Refined:
     """Gauss-Newton steps from a hypothesis, damped if they do not pay.
 
@@ -150,7 +167,9 @@ def refine(
         gram = np.einsum("kx,jx->kj", jacobian, jacobian)
         right = -jacobian @ _flat(r)
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        covariance = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+        covariance = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(
+            scale, scale
+        )
         step = covariance @ right
         share, better = 1.0, None
         while share > 0.05:
@@ -246,7 +265,8 @@ def _linear_rows(setting: Setting, hypothesis: Hypothesis, steady: SteadyState) 
     dynamic = stiffness + s[:, None, None] * damping + s[:, None, None] ** 2 * system.mass
     rows_at = {node.name: system.outputs[i] for i, node in enumerate(rig.nodes)}
     receptance = system.outputs @ np.linalg.solve(
-        dynamic + 1e-30 * np.eye(len(dynamic[0])), np.broadcast_to(system.outputs.T, (top, *system.outputs.T.shape))
+        dynamic + 1e-30 * np.eye(len(dynamic[0])),
+        np.broadcast_to(system.outputs.T, (top, *system.outputs.T.shape)),
     )
     order = np.array(system.derivatives)
     differentiated = s[:, None] ** order

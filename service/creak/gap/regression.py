@@ -120,7 +120,9 @@ class Sums:
         gram, right, _ = systems[0]
         theta = fixed.astype(float)
         moving = ~fixed
-        theta[moving] = solve(gram[np.ix_(moving, moving)], right[moving] - gram[np.ix_(moving, fixed)].sum(axis=1))
+        theta[moving] = solve(
+            gram[np.ix_(moving, moving)], right[moving] - gram[np.ix_(moving, fixed)].sum(axis=1)
+        )
         left = [
             (power - 2 * theta @ right + theta @ gram @ theta) / count
             for (gram, right, power), count in zip(systems, self.counts, strict=True)
@@ -129,9 +131,7 @@ class Sums:
         linear[free] = theta[: int(free.sum())]
         return Fitted(linear, theta[int(free.sum()) :], float(left[0]), float(left[1]))
 
-    def _system(
-        self, which: int, columns: Sequence[Column], free: NDArray[np.bool_]
-    ) -> tuple[Real, Real, float]:
+    def _system(self, which: int, columns: Sequence[Column], free: NDArray[np.bool_]) -> tuple[Real, Real, float]:
         """Normal equations of free linear elements, then columns."""
         chosen = self.sets[which]
         m = int(free.sum())

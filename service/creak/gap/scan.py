@@ -1,5 +1,6 @@
 """Ranking by regression: places by a free force, then the laws that compete there, alone, in pairs, beside linear
-elements, or in place of an effect that the model has with other parameters."""
+elements, or in place of an effect that the model has with other parameters.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,9 +66,9 @@ class Scan:
         """Whitened power that the model leaves, relative to noise."""
         return self.sums.fit().held / self.floor
 
-    def places(self, free: NDArray[np.bool_], beside: Sequence[tuple[str, tuple[str, ...]]] = ()) -> list[
-        tuple[float, str, tuple[str, ...]]
-    ]:
+    def places(
+        self, free: NDArray[np.bool_], beside: Sequence[tuple[str, tuple[str, ...]]] = ()
+    ) -> list[tuple[float, str, tuple[str, ...]]]:
         """Places by what a free force there (and at those beside) leaves relative to noise, the best first."""
         n = self.view.rig.n
         if n <= 1 + len(beside):
@@ -95,7 +96,12 @@ class Scan:
             if candidate.kind in LINEAR and (free.any() or _massless(candidate)):
                 continue
             found.append(self.trial(candidate, free, beside))
-        if group == "internal" and at[1] == GROUND and kinds is None and min(item.rest for item in found) > _FAILED:
+        if (
+            group == "internal"
+            and at[1] == GROUND
+            and kinds is None
+            and min(item.rest for item in found) > _FAILED
+        ):
             found.append(self.trial(Candidate(Resonator, at[:1], group), free, beside))
         return sorted(found, key=lambda item: item.rest)
 
@@ -144,9 +150,7 @@ class Scan:
             found.append(self.hypothesis([a, b], free))
         return sorted(found, key=lambda item: item.rest)
 
-    def pruned(
-        self, trials: Sequence[Trial], free: NDArray[np.bool_], least: float
-    ) -> NDArray[np.bool_]:
+    def pruned(self, trials: Sequence[Trial], free: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
         """Linear elements that matter: the one that costs least is dropped until every one costs ``least``.
 
         The cost is in twice the log likelihood, with the rest taken as the noise that it is measured against.

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from creak.errors import ConfigurationError
 from creak.gap.hypothesis import Hypothesis, apply, own_elements
 from creak.gap.refine import Refined, Setting, refine
 from creak.gap.regression import Indices
 from creak.gap.scan import Found, Scan, Trial, combos, replacement
 from creak.gap.view import see
-from creak.mechanics.effects import CoulombFriction, Hysteresis, Resonator, Restoring
+from creak.mechanics.effects import Resonator, Restoring
 from creak.mechanics.electronics import Electronic
 
 Report = Callable[[str, float], None]
@@ -21,7 +22,8 @@ FLOOR = 1.08  # times noise that it may leave
 _FEW = 4  # experiments on which hypotheses compete
 _PLACES = 4  # best places at which laws are tried
 _HOPELESS = 1e-3  # of the excess: what a regression may leave and its output-error fit still reach noise
-_SHARP = CoulombFriction | Hysteresis  # whose harmonics fold if the solver takes the rig's samples alone
+_ONE_PLACE = 1.15  # what a free force leaves at most at the only place where something acts
+_MANY = 4.0  # and beyond which no single place is worth a law
 _COMPETING = 4  # best regressions that are fitted to the output
 
 
@@ -75,26 +77,39 @@ class Search:
         self.few = fitted[np.linspace(0, len(fitted) - 1, min(_FEW, len(fitted))).astype(int)]
         self.aside = held[: _FEW - 1] if len(held) else self.few
         self.before = self._scan(setting).rest()
+        self._placed_beside_linear: list[tuple[float, str, tuple[str, ...]]] = []
 
     def run(self) -> Searched:
         """Try one effect, wrong parameters of the model's own, linear elements, both, and pairs, in this order."""
         base = self._scan(self.setting)
         places = base.places(base.none)
+        several = self.setting.rig.n > 1
+        one_place = several and places[0][0] < _ONE_PLACE
         self.report("one effect", 0.1)
-        singles, trials = self._singles(base, places, base.none)
+        singles: list[Found] = []
+        trials: dict[tuple[str, ...], list[Trial]] = {}
+        # A law leaves at least what a free force at its place leaves.
+        if not several or places[0][0] < max(_MANY, _HOPELESS * self.before):
+            singles, trials = self._singles(base, places, base.none)
         stage = self._compete([*self._replacements(), *singles])
         if self._explains(stage):
             return Searched(stage, True, places)
-        self.report("linear elements", 0.35)
-        beside = self._beside_linear()
-        if self._explains(beside):
-            return Searched(beside, True, self._places_after(beside[0]))
+        beside: tuple[Ranked, ...] = ()
+        if not one_place:
+            self.report("linear elements", 0.35)
+            beside = self._beside_linear()
+            if self._explains(beside):
+                return Searched(beside, True, self._places_after(beside[0]))
         self.report("two effects", 0.6)
-        two = self._compete(self._pairs(base, places, trials, base.none))
+        two = self._compete(self._pairs(base, places, trials, base.none, one_place=one_place))
         if self._explains(two):
             return Searched(two, True, places)
-        every = sorted([*stage, *beside, *two], key=lambda item: item.score)
-        return Searched(tuple(every), False, places)
+        every = tuple(sorted([*stage, *beside, *two], key=lambda item: item.score))
+        if beside and every[0] in beside:
+            places = self._places_after(every[0])
+        elif self._placed_beside_linear and self._placed_beside_linear[0][0] < 0.5 * places[0][0]:
+            places = self._placed_beside_linear
+        return Searched(every, False, places)
 
     def explains(self, refined: Refined) -> bool:
         """Whether what is left is noise, by the experiments kept aside."""
@@ -149,7 +164,10 @@ class Search:
             alone = scan.hypothesis([], free)
             stage = self._compete(self._again(alone, free))
             if not self._explains(stage):
-                singles, _ = self._singles(scan, scan.places(free), free)
+                places = scan.places(free)
+                if not self._placed_beside_linear or places[0][0] < 0.7 * self._placed_beside_linear[0][0]:
+                    self._placed_beside_linear = places
+                singles, _ = self._singles(scan, places, free)
                 found = [again for first in singles[:1] for again in self._again(first, free)]
                 stage = (*stage, *self._compete(found))
             stage = tuple(sorted(stage, key=lambda item: item.score))
@@ -161,10 +179,12 @@ class Search:
     def _again(self, first: Found, free: NDArray[np.bool_]) -> list[Found]:
         """Rank once more, seen through the model with its linear part corrected; then drop what does not matter."""
         linear = dict(first.hypothesis.linear)
-        corrected = replace(self.setting, model=apply(self.setting.model, Hypothesis(linear=first.hypothesis.linear)))
+        corrected = replace(
+            self.setting, model=apply(self.setting.model, Hypothesis(linear=first.hypothesis.linear))
+        )
         try:
             scan = self._scan(corrected)
-        except Exception:  # noqa: BLE001
+        except ConfigurationError:  # corrected beyond what a structure can be
             return []
         found = []
         if first.hypothesis.effects:
@@ -177,10 +197,21 @@ class Search:
             chosen = [[]]
         for trials_ in chosen:
             fit = scan.sums.fit([trial.column for trial in trials_], free)
-            total = {key: linear.get(key, 0.0) + float(fit.linear[i]) for i, key in enumerate(scan.sums.elements) if free[i]}
+            total = {
+                key: linear.get(key, 0.0) + float(fit.linear[i])
+                for i, key in enumerate(scan.sums.elements)
+                if free[i]
+            }
             kept = self._pruned(trials_, free, total)
-            found.append(Found(replace(scan.hypothesis(trials_, free).hypothesis, linear=tuple(
-                (key, total[key]) for i, key in enumerate(scan.sums.elements) if kept[i])), fit.held / self.floor))
+            found.append(
+                Found(
+                    replace(
+                        scan.hypothesis(trials_, free).hypothesis,
+                        linear=tuple((key, total[key]) for i, key in enumerate(scan.sums.elements) if kept[i]),
+                    ),
+                    fit.held / self.floor,
+                )
+            )
         return found
 
     def _pruned(self, trials: Sequence[Trial], free: NDArray[np.bool_], total: dict) -> NDArray[np.bool_]:
@@ -194,8 +225,10 @@ class Search:
         places: Sequence[tuple[float, str, tuple[str, ...]]],
         trials: dict[tuple[str, ...], list[Trial]],
         free: NDArray[np.bool_],
+        *,
+        one_place: bool,
     ) -> list[Found]:
-        """Two effects: at the best pairs of places, and at one place."""
+        """Two effects: at one place, and unless there is but one at the best pairs of places."""
         found: list[Found] = []
         known = dict(trials)
 
@@ -205,7 +238,7 @@ class Search:
             return known[at]
 
         ranked = []
-        for i, (_, group, at) in enumerate(places):
+        for i, (_, group, at) in enumerate([] if one_place else places):
             for rest, other_group, other in scan.places(free, [(group, at)]) if self.setting.rig.n > 2 else places:
                 if any(o == other for _, _, o in places[: i + 1]):
                     continue
@@ -226,16 +259,15 @@ class Search:
         if not found:
             return ()
         least = found[0].rest - 1
-        if least > max(3.0, _HOPELESS * (self.before - 1)):
+        if least > max(30.0, _HOPELESS * (self.before - 1)):
             return ()
-        close = [item for item in found[:_COMPETING] if item.rest - 1 <= max(0.3, 12 * least)]
+        close = [item for item in found[:_COMPETING] if item.rest - 1 <= max(0.3, 4 * least)]
         ranked = []
         for item in close:
-            fine = 2 if any(isinstance(effect, _SHARP) for effect in item.hypothesis.effects) else 1
-            refined = refine(self.setting, item.hypothesis, self.few, self.aside, 3, fine)
+            refined = refine(self.setting, item.hypothesis, self.few, self.aside, 3)
             sharper = significant(refined)
             if refined.settled and sharper.size < refined.hypothesis.size:
-                refined = refine(self.setting, sharper, self.few, self.aside, 2, fine)
+                refined = refine(self.setting, sharper, self.few, self.aside, 2)
             if refined.settled:
                 ranked.append(Ranked(refined, self._score(refined)))
         return tuple(sorted(ranked, key=lambda item: item.score))

@@ -104,9 +104,7 @@ def as_causes(
         before = None
         if hypothesis.dropped and i == 0:
             before = dict(setting.model.effects[hypothesis.dropped[0]].parameters())
-        causes.append(
-            Cause(effect.effect, effect.at, dict(effect.parameters()), standard, chance, after, before)
-        )
+        causes.append(Cause(effect.effect, effect.at, dict(effect.parameters()), standard, chance, after, before))
     return Named(tuple(causes), _alternatives(searched, chances, gap), corrections)
 
 

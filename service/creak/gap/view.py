@@ -5,7 +5,7 @@ F at a place b leaves ``r = (S_b/sigma) F`` with the receptance column ``S_b`` o
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.fft
@@ -14,6 +14,7 @@ from creak.errors import ConfigurationError
 from creak.gap.periodic import PeriodicData
 from creak.mechanics.effects import GROUND
 from creak.mechanics.electronics import AT_REST, Actuator, Sensor
+from creak.mechanics.steady import simulate_steady
 from creak.mechanics.system import Model, System, assemble
 from creak.records import Complex, Real, Rig
 
@@ -153,7 +154,9 @@ def see(rig: Rig, model: Model, data: PeriodicData, top: int | None = None) -> V
     if abs(np.linalg.det(dynamic[0])) <= 1e-12 * abs(np.linalg.det(dynamic[1])):
         dynamic[0] = np.inf * np.eye(len(dynamic[0]))  # a free structure: its mean is not determined
         motion = np.zeros((len(s), rig.n, forces.shape[1]), dtype=np.complex128)
-        motion[1:] = system.outputs @ np.linalg.solve(dynamic[1:], np.broadcast_to(forces, (len(s) - 1, *forces.shape)))
+        motion[1:] = system.outputs @ np.linalg.solve(
+            dynamic[1:], np.broadcast_to(forces, (len(s) - 1, *forces.shape))
+        )
     else:
         motion = system.outputs @ np.linalg.solve(dynamic, np.broadcast_to(forces, (len(s), *forces.shape)))
     motion = motion * differentiated[..., None]
@@ -164,11 +167,16 @@ def see(rig: Rig, model: Model, data: PeriodicData, top: int | None = None) -> V
     clear &= np.abs(differentiated) > 0
     D = np.where(clear, data.Y / np.where(clear, differentiated, 1.0), 0.0)
     d, v = samples_of(D, size), samples_of(s[:, None] * D, size)
-    moved = np.matmul(drive[None], U[..., None])[..., 0]
+    plain = replace(
+        system, elements=(), incidence=system.incidence[:, :0], actuators=((),) * q, sensors=((),) * rig.n
+    )
+    moved = lines_of(simulate_steady(plain, u, rig.sample_rate, rig.hold).y)
     if system.elements:
         over = np.linalg.lstsq(system.outputs.T, system.incidence, rcond=None)[0]
         between = over.T @ d, over.T @ v
-        force = np.stack([e.over_period(between[0][:, i], between[1][:, i]) for i, e in enumerate(system.elements)], 1)
+        force = np.stack(
+            [e.over_period(between[0][:, i], between[1][:, i]) for i, e in enumerate(system.elements)], 1
+        )
         moved -= np.matmul(internal[None], lines_of(force)[..., None])[..., 0]
     samples = samples_of(moved, size)
     if any(system.sensors):
