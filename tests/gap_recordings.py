@@ -1,4 +1,4 @@
-"""Recordings for the tests of the diagnosis: three masses, short periods, simulated in steady state with white noise."""
+"""Recordings for the tests of the diagnosis: three masses, short periods, steady state and white noise."""
 
 import functools
 

@@ -81,12 +81,7 @@ class Candidate:
             if self.kind is Clearance:
                 return np.asarray(gaps)
             return np.concatenate([-gaps[::-1], [0.0], gaps])
-        i = view.names.index(self.at[0])
-        signal = (
-            view.u[experiments, view.rig.driven.index(i)]
-            if self.group == "actuator"
-            else view.motion[experiments, i]
-        )
+        signal = self._signal(view, experiments)
         rms, peak = float(np.std(signal)), float(np.max(np.abs(signal)))
         if self.kind in (ActuatorSaturation, SensorClipping):
             return peak * np.linspace(0.1, 0.98, 14)
@@ -110,22 +105,24 @@ class Candidate:
         inner = float(inner)
         phi = np.zeros((len(view.r), len(view.s)), dtype=np.complex128)
         if self.group == "internal" and self.kind in LINEAR:
-            phi[:] = (view.D @ view.weights(self.at)) * view.s ** LINEAR[self.kind]  # type: ignore[index]
+            phi[:] = (view.D @ view.weights(self.at)) * view.s ** LINEAR[self.kind]
             return Column(q, phi)
         if self.group == "internal":
             d, v = relative(view, self.at, experiments)
             law = self.unit(inner)
             phi[experiments] = lines(law.over_period(d, v), len(view.s))
             return Column(q, phi)
-        i = view.names.index(self.at[0])
-        samples = (
-            view.u[experiments, view.rig.driven.index(i)]
-            if self.group == "actuator"
-            else view.motion[experiments, i]
-        )
+        samples = self._signal(view, experiments)
         changed, fixed = _electronic(self.kind, samples, inner, view.rig.sample_rate)
         phi[experiments] = lines(changed, len(view.s))
         return Column(q, phi, fixed)
+
+    def _signal(self, view: View, experiments: Indices) -> Real:
+        """Input or response that an actuator or sensor effect acts on, ``(E, N)``."""
+        i = view.names.index(self.at[0])
+        if self.group == "actuator":
+            return np.asarray(view.u[experiments, view.rig.driven.index(i)])
+        return np.asarray(view.motion[experiments, i])
 
     def unit(self, inner: float) -> Restoring:
         """Law with coefficient 1."""

@@ -72,9 +72,7 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _s
         If the model does not fit the rig or is unstable.
     """
     if isinstance(model, MeasuredResponse):
-        raise ConfigurationError(
-            "model", "kind", "'frf' cannot be diagnosed yet; allowed are lumped, matrices, beam"
-        )
+        raise ConfigurationError("model", "kind", "'frf' cannot be diagnosed; allowed are lumped, matrices, beam")
     check_stable(assemble(model, rig))
     halves = _halves(data)
     shown = halves.held if len(halves.held) else halves.fitted
@@ -114,9 +112,7 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _s
     search = Search(setting, halves.fitted, halves.held, progress)
     searched = search.run()
     if not searched.ranked and db(float(before.power.mean())) - db(float(before.noise.mean())) < 0.1:
-        notes.append(
-            "the gap lies outside the 99 % bound of noise, but less than 0.1 dB above it; no effect was found"
-        )
+        notes.append("the gap lies outside the 99 % bound of noise, but by less than 0.1 dB; no effect was found")
         return replace(result, not_claimed=tuple(notes))
     progress("final fit", 0.85)
     return _concluded(result, setting, search, searched, halves, before, division, notes, progress)
@@ -215,8 +211,8 @@ def _notes(rig: Rig, data: PeriodicData, halves: _Halves) -> list[str]:
     notes = []
     if not halves.realisations:
         notes.append(
-            "the recording has one realisation, so nothing could be kept aside: the gaps are those of the data that "
-            "were fitted, and that the correction holds for other excitations is not claimed"
+            "the recording has one realisation, so nothing could be kept aside: the gaps are those of the data "
+            "that were fitted, and that the correction holds for other excitations is not claimed"
         )
     if rig.n == 1:
         notes.append("one node is measured, so ground, actuator and sensor are told apart by their laws alone")
@@ -262,9 +258,7 @@ def validate(rig: Rig, model: Model, diagnosis: Diagnosis, other: PeriodicData) 
         state = "agrees with the other recording too" if holds else "leaves a gap in the other recording"
         return Validation(holds, gap, nodes, {}, f"Nothing was put into the model; it {state}.")
     if not new.settled:
-        return Validation(
-            False, gap, nodes, {}, "The corrected model does not settle at the other recording's inputs."
-        )
+        return Validation(False, gap, nodes, {}, "The corrected model does not settle at the other inputs.")
     holds = (gap.closed or 0.0) >= CLOSED and gap.after_db <= gap.noise_db + WITHIN_DB
     if holds:
         return Validation(True, gap, nodes, {}, f"The model with {named} holds in the other recording.")

@@ -174,7 +174,7 @@ def _fitted(
                 out, memory = effect.apply(out, rate)
                 out, _ = effect.apply(d, rate, memory)
         return np.asarray(d - out if group == "actuator" else out - d)
-    parts = {Stiffness: d, Damping: v, Mass: np.gradient(v) * rate}
+    parts: dict[type[Effect], Real] = {Stiffness: d, Damping: v, Mass: np.gradient(v) * rate}
     total = np.zeros_like(d)
     for effect in effects:
         sign = 1.0 if effect.at == at else -1.0

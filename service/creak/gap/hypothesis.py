@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, field, replace
 
-from creak.mechanics.effects import GROUND, Damping, Effect, Internal, Mass, Stiffness
+from creak.gap.regression import LinearKind
+from creak.mechanics.effects import GROUND, Damping, Effect, Mass, Stiffness
 from creak.mechanics.structure import Lumped, PointMass
 from creak.mechanics.system import Model
 
-LinearKey = tuple[type[Internal], tuple[str, str]]
+LinearKey = tuple[LinearKind, tuple[str, str]]
 """A linear element: `Stiffness`, `Damping` or `Mass`, and its place."""
 
 
@@ -77,7 +78,7 @@ def apply(model: Model, hypothesis: Hypothesis) -> Model:
     return replace(model, effects=(*effects, *added))
 
 
-def _moved(model: Lumped, kind: type[Internal], at: tuple[str, str], change: float) -> Lumped | None:
+def _moved(model: Lumped, kind: LinearKind, at: tuple[str, str], change: float) -> Lumped | None:
     """Lumped model whose own element is changed; None if it has none, or would be left with less than nothing."""
     if kind is Mass:
         masses = [

@@ -1,6 +1,7 @@
 """How large the gap is, per node, in dB, and how it divides into noise, linear error and nonlinear distortion."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy.stats
@@ -131,7 +132,7 @@ def band_shares(rig: Rig, data: PeriodicData, division: Division) -> tuple[BandS
     resolution = rig.sample_rate / rig.period_samples
     first, last, top = rig.lines[0], rig.lines[-1], rig.period_samples // 2
     edges = np.unique(np.round(np.geomspace(max(first, 1), last + 1, _BANDS + 1)).astype(int))
-    ranges = [(0, first), *zip(edges[:-1], edges[1:], strict=True), (last + 1, top + 1)]
+    ranges = [(0, first), *pairwise(edges.tolist()), (last + 1, top + 1)]
     found = []
     for i, node in enumerate(rig.nodes):
         measured = float(np.mean(np.sum(np.abs(data.Y[..., i]) ** 2, axis=1)))
@@ -152,7 +153,8 @@ def band_shares(rig: Rig, data: PeriodicData, division: Division) -> tuple[BandS
                     (float(low * resolution), float((high - 1) * resolution)),
                     db(sum(parts) / measured),
                     *_shares(*parts),
-                    *errors,
+                    errors[0],
+                    errors[1],
                     float(noise_error),
                 )
             )

@@ -45,9 +45,7 @@ class PeriodicData:
     pooled: int = 1
 
 
-_FEWEST_DEGREES = (
-    24  # below this the noise of neighbouring lines is pooled: a variance from few periods is no weight
-)
+_FEWEST_DEGREES = 24  # below this the noise of neighbouring lines is pooled: a few periods give no weight
 _FLOOR = 1e-10  # least noise power relative to the response: rounding, where a recording has no noise at all
 
 
@@ -72,7 +70,7 @@ def gather(run: Run, items: Iterable[Frame | Fault]) -> PeriodicData:
     rig = run.rig
     if run.steady_periods < 2:
         raise MeasurementError(
-            "the recording has 1 steady period an experiment, so its noise is not known; a diagnosis needs 2 or more"
+            "the recording has 1 steady period an experiment, so its noise is not known; needed are 2 or more"
         )
     collector = Collector(run)
     pending: dict[tuple[int, int, int], Frame] = {}

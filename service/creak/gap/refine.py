@@ -71,7 +71,7 @@ class Setting:
         if not elements:
             return 1
         wanted = max(next((size for kinds, size in _POINTS if isinstance(e, kinds)), 4096) for e in elements)
-        return 2 ** max(0, math.ceil(math.log2(wanted / self.rig.period_samples)))
+        return 1 << max(0, math.ceil(math.log2(wanted / self.rig.period_samples)))
 
     def residual(self, y: Real, experiments: Indices, top: int | None) -> Complex:
         """Whitened difference of simulated and measured motion, ``(E, top, n)``."""
@@ -123,7 +123,7 @@ def with_vector(hypothesis: Hypothesis, values: Real) -> Hypothesis:
     effects: list[Effect] = []
     for effect in hypothesis.effects:
         names = effect.parameter_names()
-        effects.append(replace(effect, **dict(zip(names, rest, strict=False))))
+        effects.append(type(effect)(effect.at, *rest[: len(names)]))
         rest = rest[len(names) :]
     linear = tuple((key, change) for (key, _), change in zip(hypothesis.linear, rest, strict=True))
     return replace(hypothesis, effects=tuple(effects), linear=linear)
@@ -229,7 +229,7 @@ def _limited(hypothesis: Hypothesis, values: Real, step: Real) -> Real:
 
 
 def _jacobian(setting: Setting, hypothesis: Hypothesis, fitted: Indices, steady: SteadyState, r: Complex) -> Real:
-    """Derivatives of the residual, ``(K, 2 E top n)``: by differences for effects, by tangents for linear elements."""
+    """Derivatives of the residual, ``(K, 2 E top n)``: differences for effects, tangents for linear elements."""
     values = vector(hypothesis)
     own = len(values) - len(hypothesis.linear)
     rows = []

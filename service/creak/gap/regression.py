@@ -1,8 +1,9 @@
 """Least squares of the whitened motion on columns ``q(w) Phi(w)``, from the sums over experiments alone.
 
 A column is a pattern over the nodes, ``q (L, n)``, times the lines of one scalar force or signal,
-``Phi (E, L)``. All that least squares needs of two columns is ``Re sum_l (q_i^H q_j)_l (sum_e conj(Phi_i) Phi_j)_l``,
-so a law is tried by one DFT and a few sums, however many linear elements are free beside it.
+``Phi (E, L)``. All that least squares needs of two columns is
+``Re sum_l (q_i^H q_j)_l (sum_e conj(Phi_i) Phi_j)_l``, so a law is tried by one DFT and a few sums, however many
+linear elements are free beside it.
 """
 
 from collections.abc import Sequence
@@ -12,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from creak.gap.view import View
-from creak.mechanics.effects import GROUND, Damping, Internal, Mass, Stiffness
+from creak.mechanics.effects import GROUND, Damping, Effect, Mass, Stiffness
 from creak.records import Complex, Real
 
 Indices = NDArray[np.int64]
 
-LINEAR: dict[type[Internal], int] = {Stiffness: 0, Damping: 1, Mass: 2}
+LinearKind = type[Stiffness] | type[Damping] | type[Mass]
+
+LINEAR: dict[type[Effect], int] = {Stiffness: 0, Damping: 1, Mass: 2}
 """Linear elements, and how often the displacement is differentiated for their force."""
 
 
@@ -65,10 +68,10 @@ def internal_places(names: Sequence[str]) -> list[tuple[str, str]]:
     return pairs + [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
 
 
-def linear_elements(names: Sequence[str]) -> list[tuple[type[Internal], tuple[str, str]]]:
+def linear_elements(names: Sequence[str]) -> list[tuple[LinearKind, tuple[str, str]]]:
     """Springs and dampers at every place, masses at every node."""
     places = internal_places(names)
-    out: list[tuple[type[Internal], tuple[str, str]]] = [(Stiffness, at) for at in places]
+    out: list[tuple[LinearKind, tuple[str, str]]] = [(Stiffness, at) for at in places]
     out += [(Damping, at) for at in places]
     return out + [(Mass, at) for at in places if at[1] == GROUND]
 
@@ -184,7 +187,7 @@ class Sums:
             right = self.right[0][free] - np.sum((hq.conj() * onto).real, axis=(0, 1))
             theta = solve(gram, right, np.diag(self.gram[0])[free])
             power += -2 * theta @ right + theta @ gram @ theta
-        return float(power) / (self.counts[0] * (n - k) / n)
+        return float(power / (self.counts[0] * (n - k) / n))
 
 
 def solve(gram: Real, right: Real, size: Real | None = None) -> Real:

@@ -1,5 +1,6 @@
-"""Ranking by regression: places by a free force, then the laws that compete there, alone, in pairs, beside linear
-elements, or in place of an effect that the model has with other parameters.
+"""Ranking by regression: places by a free force, then the laws that compete there.
+
+They compete alone, in pairs, beside linear elements, or in place of an effect that the model has.
 """
 
 from collections.abc import Sequence
@@ -124,7 +125,7 @@ class Scan:
             trial.candidate.effect(float(coefficient), trial.inner)
             for trial, coefficient in zip(trials, fit.own, strict=True)
         ]
-        linear = tuple((self.key(i), float(fit.linear[i])) for i in np.flatnonzero(free))
+        linear = tuple((self.key(i), float(fit.linear[i])) for i in np.flatnonzero(free).tolist())
         if any(effect is None for effect in effects):
             return Found(Hypothesis((), linear, dropped), np.inf)
         kept = tuple(effect for effect in effects if effect is not None)

@@ -22,6 +22,7 @@ FLOOR = 1.08  # times noise that it may leave
 _FEW = 4  # experiments on which hypotheses compete
 _PLACES = 4  # best places at which laws are tried
 _HOPELESS = 1e-3  # of the excess: what a regression may leave and its output-error fit still reach noise
+_MATTERS = 25.0  # twice the log likelihood that a linear element must bring
 _ONE_PLACE = 1.15  # what a free force leaves at most at the only place where something acts
 _MANY = 4.0  # and beyond which no single place is worth a law
 _COMPETING = 4  # best regressions that are fitted to the output
@@ -118,7 +119,7 @@ class Search:
         rest = refined.held / self.floor - 1
         count = len(self.aside) * self.setting.top * self.setting.rig.n
         chance = 3 / np.sqrt(count)
-        return rest <= max(FLOOR - 1, chance) and rest <= max(CLOSED * (self.before - 1), chance)
+        return bool(rest <= max(FLOOR - 1, chance)) and bool(rest <= max(CLOSED * (self.before - 1), chance))
 
     def _explains(self, stage: Sequence[Ranked]) -> bool:
         return bool(stage) and self.explains(stage[0].refined)
@@ -177,7 +178,7 @@ class Search:
         return tuple(sorted(every, key=lambda item: item.score))
 
     def _again(self, first: Found, free: NDArray[np.bool_]) -> list[Found]:
-        """Rank once more, seen through the model with its linear part corrected; then drop what does not matter."""
+        """Rank once more, seen through the corrected linear part; then drop what does not matter."""
         linear = dict(first.hypothesis.linear)
         corrected = replace(
             self.setting, model=apply(self.setting.model, Hypothesis(linear=first.hypothesis.linear))
@@ -189,35 +190,26 @@ class Search:
         found = []
         if first.hypothesis.effects:
             places = scan.places(free)
-            singles, trials = self._singles(scan, places, free)
+            _, trials = self._singles(scan, places, free)
             chosen = [[trial] for at in trials.values() for trial in at if np.isfinite(trial.rest)]
             chosen.sort(key=lambda item: item[0].rest)
             chosen = chosen[:3]
         else:
             chosen = [[]]
+        whole = self._scan(self.setting)
         for trials_ in chosen:
             fit = scan.sums.fit([trial.column for trial in trials_], free)
-            total = {
-                key: linear.get(key, 0.0) + float(fit.linear[i])
+            # What matters is judged from the model as it was, where a correction stands whole.
+            again = [whole.trial(trial.candidate, free) for trial in trials_]
+            kept = whole.pruned(again, free, _MATTERS)
+            total = tuple(
+                (key, linear.get(key, 0.0) + float(fit.linear[i]))
                 for i, key in enumerate(scan.sums.elements)
-                if free[i]
-            }
-            kept = self._pruned(trials_, free, total)
-            found.append(
-                Found(
-                    replace(
-                        scan.hypothesis(trials_, free).hypothesis,
-                        linear=tuple((key, total[key]) for i, key in enumerate(scan.sums.elements) if kept[i]),
-                    ),
-                    fit.held / self.floor,
-                )
+                if kept[i]
             )
+            together = scan.hypothesis(trials_, free).hypothesis
+            found.append(Found(replace(together, linear=total), fit.held / self.floor))
         return found
-
-    def _pruned(self, trials: Sequence[Trial], free: NDArray[np.bool_], total: dict) -> NDArray[np.bool_]:
-        scan = self._scan(self.setting)
-        columns = [scan.trial(trial.candidate, free) for trial in trials]
-        return scan.pruned(columns, free, 25.0)
 
     def _pairs(
         self,
@@ -240,13 +232,13 @@ class Search:
         ranked = []
         for i, (_, group, at) in enumerate([] if one_place else places):
             for rest, other_group, other in scan.places(free, [(group, at)]) if self.setting.rig.n > 2 else places:
-                if any(o == other for _, _, o in places[: i + 1]):
+                if any(earlier == other for _, _, earlier in places[: i + 1]):
                     continue
                 ranked.append((rest, (group, at), (other_group, other)))
         ranked.sort(key=lambda item: item[0])
         pairs: list[tuple[Trial, Trial]] = []
-        for _, one, other in ranked[:6]:
-            pairs += combos(at_place(*one), at_place(*other), 20)
+        for _, first, second in ranked[:6]:
+            pairs += combos(at_place(*first), at_place(*second), 20)
         for _, group, at in places[:2]:
             own = at_place(group, at)
             pairs += combos(own, own, 20)

@@ -1,4 +1,4 @@
-"""What may be said: verdict, probabilities over the vocabulary, causes with their standard errors, alternatives."""
+"""What may be said: verdict, probabilities over the vocabulary, causes and their errors, alternatives."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -87,10 +87,10 @@ class View:
         kind : {"internal", "actuator", "sensor"}
         """
         if kind == "internal":
-            return (self.columns @ self.weights(at)) / self.sigma
+            return np.asarray((self.columns @ self.weights(at)) / self.sigma)
         i = self.names.index(at[0])
         if kind == "actuator":
-            return self.drive[..., self.rig.driven.index(i)] / self.sigma
+            return np.asarray(self.drive[..., self.rig.driven.index(i)] / self.sigma)
         q = np.zeros(self.sigma.shape, dtype=np.complex128)
         q[:, i] = -1.0 / self.sigma[:, i]
         return q
@@ -98,7 +98,8 @@ class View:
 
 def lines_of(samples: Real) -> Complex:
     """DFT divided by N, ``(E, c, N)`` to ``(E, L, c)``."""
-    return np.ascontiguousarray(np.swapaxes(scipy.fft.rfft(samples, axis=-1), -1, -2)) / samples.shape[-1]
+    lines = np.swapaxes(scipy.fft.rfft(samples, axis=-1), -1, -2) / samples.shape[-1]
+    return np.ascontiguousarray(lines, dtype=np.complex128)
 
 
 def samples_of(lines: Complex, size: int) -> Real:
@@ -152,20 +153,20 @@ def see(rig: Rig, model: Model, data: PeriodicData, top: int | None = None) -> V
     dynamic = system.stiffness + s[:, None, None] * system.damping + s[:, None, None] ** 2 * system.mass
     differentiated = s[:, None] ** np.array(system.derivatives)
     if abs(np.linalg.det(dynamic[0])) <= 1e-12 * abs(np.linalg.det(dynamic[1])):
-        dynamic[0] = np.inf * np.eye(len(dynamic[0]))  # a free structure: its mean is not determined
+        # A free structure: its mean is not determined.
         motion = np.zeros((len(s), rig.n, forces.shape[1]), dtype=np.complex128)
         motion[1:] = system.outputs @ np.linalg.solve(
             dynamic[1:], np.broadcast_to(forces, (len(s) - 1, *forces.shape))
         )
     else:
         motion = system.outputs @ np.linalg.solve(dynamic, np.broadcast_to(forces, (len(s), *forces.shape)))
-    motion = motion * differentiated[..., None]
+    motion = np.asarray(motion * differentiated[..., None], dtype=np.complex128)
     drive, columns, internal = motion[..., :q], motion[..., q : q + rig.n], motion[..., q + rig.n :]
     u = through(system.actuators, data.u, rig.sample_rate)
     U = lines_of(u) * hold_factor(rig)[:, None]
     clear = np.mean(np.abs(data.Y) ** 2, axis=0) > _SIGNAL * data.variance
     clear &= np.abs(differentiated) > 0
-    D = np.where(clear, data.Y / np.where(clear, differentiated, 1.0), 0.0)
+    D = np.asarray(np.where(clear, data.Y / np.where(clear, differentiated, 1.0), 0.0), dtype=np.complex128)
     d, v = samples_of(D, size), samples_of(s[:, None] * D, size)
     plain = replace(
         system, elements=(), incidence=system.incidence[:, :0], actuators=((),) * q, sensors=((),) * rig.n
@@ -187,7 +188,7 @@ def see(rig: Rig, model: Model, data: PeriodicData, top: int | None = None) -> V
     return View(
         rig,
         system,
-        s[kept],
+        np.asarray(s[kept], dtype=np.complex128),
         columns[kept],
         drive[kept],
         sigma[kept],

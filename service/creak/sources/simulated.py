@@ -204,7 +204,11 @@ class SimulatedRig:
         )
 
     def _simulate(
-        self, pool: ThreadPoolExecutor, steppers: tuple[Stepper, Stepper], sensed: tuple[tuple[Sensor, ...], ...], inputs: Real
+        self,
+        pool: ThreadPoolExecutor,
+        steppers: tuple[Stepper, Stepper],
+        sensed: tuple[tuple[Sensor, ...], ...],
+        inputs: Real,
     ) -> Real | None:
         """All experiments of a realisation, ``(q, periods, n, N)``; None if the source was closed meanwhile."""
         rig = self.run.rig
