@@ -98,7 +98,7 @@ def test_words():
             }
     assert words.place(("ground", "2")) == words.place(("2", "ground")) == "between node 2 and ground"
     assert words.place(("1",), "actuator_gain") == "at the actuator of node 1"
-    assert words.place(("1",), "resonator") == "at node 1"
+    assert words.place(("1",), "resonator") == words.place(("1", "ground"), "mass") == "at node 1"
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,8 @@ def place(at: tuple[str, ...], effect: str = "") -> str:
         kind = effect.partition("_")[0]
         return f"at the {kind} of node {at[0]}" if kind in {"actuator", "sensor"} else f"at node {at[0]}"
     if GROUND in at:
-        return f"between node {at[0] if at[1] == GROUND else at[1]} and {GROUND}"
+        node = at[0] if at[1] == GROUND else at[1]
+        return f"at node {node}" if effect == "mass" else f"between node {node} and {GROUND}"
     return f"between nodes {at[0]} and {at[1]}"
 
 
