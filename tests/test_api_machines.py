@@ -12,6 +12,7 @@ from api_client import V1, assert_problem, get, serving
 from creak.api import create_app
 from creak.api.models import Answer
 from creak.records import Counts, RunEnd, RunStatus
+from creak.sinks import jobs
 from creak.sinks.database import open_store
 from store_records import (
     SECOND,
@@ -27,6 +28,9 @@ from store_records import (
 def store(tmp_path_factory):
     opened_store = open_store(f"sqlite:///{tmp_path_factory.mktemp('api')}/creak.db")
     fill_beam(opened_store)
+    jobs.put(
+        opened_store, jobs.Task("diagnosis", ("beam.mcap",), "model.toml"), {"recording": "x"}, now=0, waiting=1
+    )
     yield opened_store
     opened_store.close()
 
@@ -115,6 +119,8 @@ def test_openapi_document_is_valid_and_whole(client):
     expected = {f"{V1}/rigs{path}" for path in [*rigs, "/{rig}/elements", "/{rig}/history"]}
     expected |= {f"{V1}/{path}" for path in ("alarms", "alarms/{alarm}", "recordings", "events")}
     expected |= {f"{V1}/{path}" for path in ("webhooks", "webhooks/{webhook}", "webhooks/{webhook}/deliveries")}
+    expected |= {f"{V1}/{path}" for path in ("jobs", "jobs/{job}", "diagnoses", "diagnoses/{diagnosis}")}
+    expected |= {f"{V1}/diagnoses/{{diagnosis}}/report"}
     expected |= {f"{V1}/audit", "/healthz", "/readyz", "/metrics"}
     assert expected <= {path for method, path in routes if method == "get"}
     actions = {f"alarms/{{alarm}}/{name}" for name in ("acknowledge", "shelve", "unshelve")}
@@ -143,7 +149,8 @@ def test_examples_are_what_the_routes_answer(client):
             assert shown["example"], path
         if method != "get" or "application/json" not in content or "webhook" in path or "audit" in path:
             continue
-        real = client.get(path.format(rig="beam", node="3", alarm="beam-1%2F3%2F0"))
+        job = get(client, f"{V1}/jobs")["items"][0]["id"]
+        real = client.get(path.format(rig="beam", node="3", alarm="beam-1%2F3%2F0", job=job, diagnosis=job))
         body = real.json() if real.status_code == 200 else {"status": "ready", "rigs": []}
         assert shape(shown["example"]) == shape(body), path
 
@@ -162,7 +169,7 @@ def test_examples_have_the_keys_of_their_models(model):
 def shape(value):
     """Keys of a body, with the first item of a list for all; free tables and strings are their own matter."""
     if isinstance(value, dict):
-        free = {"faults", "alarms", "limits", "excitation"}
+        free = {"faults", "alarms", "limits", "excitation", "request", "result"}
         return {key: None if key in free else shape(item) for key, item in value.items()}
     if isinstance(value, list):
         return [shape(value[0])] if value and isinstance(value[0], dict) else None

@@ -1,14 +1,15 @@
 """The application: all routes over one store."""
 
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from creak import __version__
-from creak.api import alarms, events, health, metrics, operate, page, problems, rigs, webhooks
+from creak.api import alarms, events, health, jobs, metrics, operate, page, problems, rigs, webhooks
 from creak.api.access import Access, Gate
 from creak.api.events import EventFeed, watched
 from creak.api.guard import Guard
@@ -47,7 +48,13 @@ class Service(FastAPI):
         return self.openapi_schema
 
 
-def create_app(store: Store | str, *, rigs_expected: Sequence[str] = (), access: Access | None = None) -> FastAPI:
+def create_app(
+    store: Store | str,
+    *,
+    rigs_expected: Sequence[str] = (),
+    access: Access | None = None,
+    models_of: Mapping[str, Path] | None = None,
+) -> FastAPI:
     """Make the application.
 
     Parameters
@@ -58,6 +65,9 @@ def create_app(store: Store | str, *, rigs_expected: Sequence[str] = (), access:
         Rigs without which the service is not ready; by default those whose runs go on.
     access : Access
         Keys, limits, and where receivers of webhooks may live; by default as it is safe on loopback.
+
+    models_of : mapping of str to Path, optional
+        Model file of each rig that has one, against which its recordings are diagnosed.
 
     Raises
     ------
@@ -90,11 +100,12 @@ def create_app(store: Store | str, *, rigs_expected: Sequence[str] = (), access:
     app.state.feed = feed
     app.state.rigs = tuple(rigs_expected)
     app.state.access = access or Access()
+    app.state.models = dict(models_of or {})
     problems.install(app)
     app.add_middleware(Gate, store=opened, access=app.state.access)
     app.add_middleware(Guard)
     api = APIRouter(prefix="/api/v1")
-    for part in (rigs, alarms, operate, webhooks, events):
+    for part in (rigs, alarms, operate, webhooks, jobs, events):
         api.include_router(part.router)
     app.include_router(api)
     for outside in (health, metrics, page):

@@ -20,6 +20,7 @@ _MEANINGS = {
     404: "There is no such thing.",
     408: "The body did not come in time.",
     409: "What is asked for does not fit what is there.",
+    410: "The file is no longer there.",
     412: "It has changed since the client saw it.",
     413: "The body is too long.",
     421: "Without keys the API is called by an address or localhost.",
@@ -51,7 +52,8 @@ async def _store(request: Request) -> Store:
     return store
 
 
-def _name(text: str) -> str:
+def plain_name(text: str) -> str:
+    """Return a name of the path with its slashes, as it was meant."""
     return text.replace(SLASH, "/")
 
 
@@ -59,9 +61,9 @@ StoreOf = Annotated[Store, Depends(_store)]
 """The store of the application."""
 
 _Plain = Query(max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")
-RigName = Annotated[str, Path(description="Name of the rig."), AfterValidator(_name)]
-NodeName = Annotated[str, Path(description="Name of the node."), AfterValidator(_name)]
-AlarmId = Annotated[str, Path(description="Id of the alarm."), AfterValidator(_name)]
+RigName = Annotated[str, Path(description="Name of the rig."), AfterValidator(plain_name)]
+NodeName = Annotated[str, Path(description="Name of the node."), AfterValidator(plain_name)]
+AlarmId = Annotated[str, Path(description="Id of the alarm."), AfterValidator(plain_name)]
 OfRig = Annotated[str | None, _Plain]
 OfNode = Annotated[str | None, _Plain]
 ScopeOf = Annotated[

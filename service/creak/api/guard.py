@@ -78,5 +78,5 @@ def _add_headers(headers: MutableHeaders) -> None:
     for name, value in _ALWAYS.items():
         headers[name] = value
     page = headers.get("content-type", "").startswith("text/html")
-    headers["Content-Security-Policy"] = _PAGE_POLICY if page else _API_POLICY
+    headers.setdefault("Content-Security-Policy", _PAGE_POLICY if page else _API_POLICY)
     headers.setdefault("Cache-Control", "no-store")

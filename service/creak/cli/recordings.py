@@ -152,7 +152,7 @@ def replay(
     if end.status is RunStatus.INTERRUPTED:
         raise KeyboardInterrupt
     for line in recording.damage:
-        _warn(line)
+        warn(line)
     unavailable = (
         list(_too_few_windows(recording.run, newest)) if newest.estimate else ["no realisation is complete"]
     )
@@ -247,9 +247,9 @@ def _record(source: Source, output: Path, frames: int | None, label: str) -> Non
             raise KeyboardInterrupt
     counts = monitor.counts
     for sentence in newest.estimate.unavailable if newest.estimate else ("no realisation is complete",):
-        _warn(sentence)
+        warn(sentence)
     for flaw in newest.quality:
-        _warn(f"{flaw['kind']}: {flaw['message']}{_more(flaw['realisations'])}")
+        warn(f"{flaw['kind']}: {flaw['message']}{_more(flaw['realisations'])}")
     console().print(
         f"{output}: {counts.realisations} realisations, {counts.frames} frames that count, "
         f"{counts.rejected_frames} rejected",
@@ -259,11 +259,11 @@ def _record(source: Source, output: Path, frames: int | None, label: str) -> Non
 
 
 @contextmanager
-def whole_file(output: Path) -> Iterator[Path]:
+def whole_file(output: Path, option: str = "--output") -> Iterator[Path]:
     """A name beside the output to write to; takes its place if all goes well, and is gone if not."""
     if output.is_dir() or not output.parent.is_dir():
         problem = "is a directory" if output.is_dir() else f"there is no directory {output.parent}"
-        raise ConfigurationError("--output", "", f"{output}: {problem}; should be the name of a file")
+        raise ConfigurationError(option, "", f"{output}: {problem}; should be the name of a file")
     unfinished = output.with_name(f".{output.name}.{os.getpid()}.part")
     try:
         yield unfinished
@@ -285,5 +285,6 @@ def _identity(name: str) -> str:
     return str(uuid.uuid5(uuid.NAMESPACE_OID, name))
 
 
-def _warn(line: str) -> None:
+def warn(line: str) -> None:
+    """Say something that matters but does not end the command."""
     console().print(f"creak: {line}", style="yellow", highlight=False, soft_wrap=True)

@@ -35,6 +35,7 @@ from creak.config.service import (
     parse_service,
 )
 from creak.errors import ConfigurationError, InputError, RecordingError, ServiceError, StorageError
+from creak.jobs import JobRunner
 from creak.monitor import Memory
 from creak.records import Estimate, Rig, Run, RunEnd
 from creak.sinks import keys
@@ -264,16 +265,19 @@ def _run(
     )
     deliverer = Deliverer(store, AddressPolicy(hooks.allow), rules)
     upkeep = Upkeep(store, limits.budget_bytes)
-    app = create_app(
-        store,
-        rigs_expected=[source.run.rig.name for source in sources],
-        access=_access(settings, listener, store),
-    )
+    names = [source.run.rig.name for source in sources]
+    models = {
+        name: table.model for name, table in zip(names, settings.rigs, strict=True) if table.model is not None
+    }
+    app = create_app(store, rigs_expected=names, access=_access(settings, listener, store), models_of=models)
+    jobs = settings.jobs
+    runner = JobRunner(store, settings.data / "jobs", at_once=jobs.at_once, max_seconds=jobs.max_seconds)
     try:
         deliverer.start()
         upkeep.start()
         for worker in workers:
             worker.start()
+        runner.start()
         host, port, *_ = listener.getsockname()
         _log.info("listening on http://%s:%s", host, port)
         with contextlib.suppress(KeyboardInterrupt):
@@ -286,6 +290,7 @@ def _run(
             worker.stop(max(0.1, deadline - time.monotonic()))
         deliverer.stop(max(0.5, deadline - time.monotonic()))
         upkeep.stop()
+        runner.stop(max(0.1, deadline - time.monotonic()))
         store.close()
     for worker, recorder in zip(workers, recorders, strict=True):
         if worker.end is not None and recorder.paths:

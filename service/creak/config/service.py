@@ -62,6 +62,13 @@ class RecordingTable(Strict):
     budget_bytes: Count | None = None
 
 
+class JobsTable(Strict):
+    """``[jobs]``: diagnoses and replays that are asked for over REST."""
+
+    at_once: Annotated[int, Field(ge=0, le=64, strict=True)] = 1
+    max_seconds: Positive = 1800.0
+
+
 class SimulatedSource(Strict):
     """``[rigs.source]`` of kind simulated: the rig's model plays the rig."""
 
@@ -135,6 +142,7 @@ class ServiceSettings(BaseSettings):
     store: StoreTable = StoreTable()
     webhooks: WebhooksTable = WebhooksTable()
     recording: RecordingTable = RecordingTable()
+    jobs: JobsTable = JobsTable()
     rigs: Annotated[list[RigTable], Field(min_length=1)]
 
     @classmethod

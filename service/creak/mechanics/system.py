@@ -1,6 +1,7 @@
 """A model seen through a rig: matrices, inputs, outputs and nonlinear elements, ready to be simulated."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -16,6 +17,9 @@ Model: TypeAlias = Lumped | Matrices | Beam | MeasuredResponse
 
 DERIVATIVES: Final = {"m": 0, "m/s": 1, "m/s^2": 2}
 """Output units that a mechanical model can give, and how often the displacement is differentiated for them."""
+
+_CHUNK: Final = 2_000_000  # matrix entries that are solved at once
+_FREE: Final = 1e12  # condition of a stiffness matrix beyond which nothing holds the structure
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,9 @@ class System:
         Effects on each input, in the order in which they act.
     sensors : tuple of tuples of Sensor, (n,)
         Effects on each response.
+    points : mapping of str to array, (dof,)
+        Displacement of every named point as a row over the coordinates; an element between two points has
+        the difference of their rows as its column of B.
     """
 
     mass: Real
@@ -52,6 +59,7 @@ class System:
     incidence: Real
     actuators: tuple[tuple[Actuator, ...], ...]
     sensors: tuple[tuple[Sensor, ...], ...]
+    points: Mapping[str, Real] = field(default_factory=dict)
 
     def response(self, frequencies: Real) -> Complex:
         """Input-to-node matrix of the linear part, ``S = (K + jwC - w²M)⁻¹`` between inputs and outputs (2).
@@ -66,9 +74,51 @@ class System:
         array, (F, n, q)
             In units of output per unit of input; without actuator and sensor effects.
         """
+        return self.receptance(frequencies, self.inputs)
+
+    def receptance(self, frequencies: Real, loads: Real) -> Complex:
+        """What the nodes show of unit forces on any coordinates, ``S b``: the columns of candidate forces.
+
+        Parameters
+        ----------
+        frequencies : array, (F,)
+            Hz, DC allowed.
+        loads : array, (dof, k)
+            Forces on the coordinates, for instance ``points["1"] - points["2"]`` as a column.
+
+        Returns
+        -------
+        array, (F, n, k)
+            In units of output per N; linear part alone.
+        """
         s = 2j * np.pi * np.asarray(frequencies, dtype=np.float64)[:, None, None]
-        motion = np.linalg.solve(self.stiffness + s * self.damping + s**2 * self.mass, self.inputs)
+        motion = self.motion(frequencies, loads)
         return np.asarray(s ** np.array(self.derivatives)[:, None] * (self.outputs @ motion))
+
+    def motion(self, frequencies: Real, loads: Real) -> Complex:
+        """Displacement of all coordinates under unit forces on the linear part, ``(F, dof, k)``.
+
+        A structure that nothing holds has no static response; it is then held by a spring so soft that the
+        structure on it moves 1e5 times slower than it vibrates.
+        """
+        s: Complex = np.asarray(2j * np.pi * np.asarray(frequencies), dtype=np.complex128)
+        out = np.empty((s.size, *np.shape(loads)), dtype=np.complex128)
+        chunk = max(1, _CHUNK // self.mass.size)
+        for begin in range(0, s.size, chunk):
+            part = s[begin : begin + chunk, None, None]
+            out[begin : begin + chunk] = (
+                np.linalg.solve(self.stiffness + part * self.damping + part**2 * self.mass, loads)
+                if part.all()
+                else self._with_static(part, loads)
+            )
+        return out
+
+    def _with_static(self, s: Complex, loads: Real) -> Complex:
+        dynamic = self.stiffness + s * self.damping + s**2 * self.mass
+        if np.linalg.cond(self.stiffness) > _FREE:
+            softest = np.trace(self.stiffness) / np.trace(self.mass) * 1e-10
+            dynamic[s[:, 0, 0] == 0] += softest * self.mass
+        return np.asarray(np.linalg.solve(dynamic, loads))
 
 
 def assemble(model: Model, rig: Rig) -> System:
@@ -116,6 +166,7 @@ def assemble(model: Model, rig: Rig) -> System:
         sensors=tuple(
             tuple(e for e in model.effects if isinstance(e, Sensor) and e.at == (node.name,)) for node in rig.nodes
         ),
+        points=body.points,
     )
 
 

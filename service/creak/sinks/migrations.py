@@ -8,8 +8,8 @@ from creak.sinks import operator_tables, tables
 
 
 def _to_2(connection: sa.Connection) -> None:
-    """Add operators' actions, webhooks, keys and saved states; alarms keep facts without a column."""
-    tables.metadata.create_all(connection, tables=operator_tables.ADDED)
+    """Add operators' actions, webhooks, keys, saved states and jobs; alarms keep facts without a column."""
+    tables.metadata.create_all(connection, tables=[*operator_tables.ADDED, tables.jobs])
     kind = tables.alarms.c.more.type.compile(connection.dialect)
     for table, column in (("alarms", "more"), ("runs", "rules")):
         connection.exec_driver_sql(f"ALTER TABLE {table} ADD COLUMN {column} {kind}")

@@ -187,6 +187,30 @@ recordings = sa.Table(
     sqlite_autoincrement=True,
 )
 
+jobs = sa.Table(
+    "jobs",
+    metadata,
+    sa.Column("seq", _Serial, primary_key=True),
+    sa.Column("id", sa.Text, nullable=False, unique=True),
+    sa.Column("kind", sa.String(16), nullable=False),  # diagnosis, replay
+    sa.Column("status", sa.String(16), nullable=False),
+    sa.Column("request", sa.JSON, nullable=False),  # what was asked for, as it is shown
+    sa.Column("task", sa.JSON, nullable=False),  # what is to be computed: files and realisations
+    sa.Column("progress", sa.Double),  # share of the work that is done
+    sa.Column("stage", sa.Text, nullable=False),
+    sa.Column("cancel", sa.Boolean, nullable=False),
+    sa.Column("reason", sa.Text),  # why there is no result
+    sa.Column("result", sa.Text),  # JSON
+    sa.Column("report", sa.Text),  # path of a file
+    sa.Column("created_at", _Time, nullable=False),
+    sa.Column("started_at", _Time),
+    sa.Column("ended_at", _Time),
+    sa.Column("beat_at", _Time),  # its runner last wrote
+    sa.Index("jobs_of_status", "status", "seq"),
+    sqlite_autoincrement=True,
+)
+"""Computations that take longer than a request may."""
+
 events = sa.Table(
     "events",
     metadata,

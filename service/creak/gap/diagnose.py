@@ -1,0 +1,290 @@
+"""The diagnosis as a whole: `diagnose` and `validate`, the two entries to this package."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from creak.errors import ConfigurationError
+from creak.gap.force import force_curves, missing_force
+from creak.gap.hypothesis import Hypothesis, apply
+from creak.gap.levels import Level, band_shares, db, divide, gap_levels, level, node_gaps, noise_bound
+from creak.gap.periodic import PeriodicData
+from creak.gap.records import Diagnosis, MissingForce, Validation, Verdict
+from creak.gap.refine import Refined, Setting, refine
+from creak.gap.regression import Indices
+from creak.gap.search import Search, Searched
+from creak.gap.verdict import CLOSED, FEW, WITHIN_DB, as_causes, judge, probabilities
+from creak.gap.view import check_stable, hold_factor, lines_of
+from creak.mechanics.structure import MeasuredResponse
+from creak.mechanics.system import Model, assemble
+from creak.mechanics.vocabulary import VOCABULARY
+from creak.records import Rig
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction done, 0 to 1."""
+
+_STEPS_FINAL = 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Halves:
+    """Experiments that are fitted, and those kept aside."""
+
+    fitted: Indices
+    held: Indices
+    realisations: int
+
+
+def _halves(data: PeriodicData) -> _Halves:
+    """Keep the last fifth of the realisations aside, at least one if there are two."""
+    indices = np.unique(data.realisation)
+    aside = max(1, round(len(indices) / 5)) if len(indices) > 1 else 0
+    held = (
+        np.isin(data.realisation, indices[len(indices) - aside :]) if aside else np.zeros(len(data.u), dtype=bool)
+    )
+    return _Halves(np.flatnonzero(~held), np.flatnonzero(held), aside)
+
+
+def _silent(what: str, done: float) -> None:
+    """Report nothing."""
+
+
+def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _silent) -> Diagnosis:
+    """Find where a recording departs from a model, which effect causes it, and how far it shrinks.
+
+    Parameters
+    ----------
+    rig : Rig
+    model : Model
+        Kinds lumped, matrices and beam.
+    data : PeriodicData
+        The recording's complete realisations, see `creak.gap.periodic.gather`.
+    progress : callable
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    ConfigurationError
+        If the model does not fit the rig or is unstable.
+    """
+    if isinstance(model, MeasuredResponse):
+        raise ConfigurationError("model", "kind", "'frf' cannot be diagnosed; allowed are lumped, matrices, beam")
+    check_stable(assemble(model, rig))
+    halves = _halves(data)
+    shown = halves.held if len(halves.held) else halves.fitted
+    notes = _notes(rig, data, halves)
+    setting = Setting(rig, model, data, len(data.variance))
+    progress("simulating the model", 0.0)
+    every = setting.simulate(Hypothesis(), np.arange(len(data.u)))
+    if not every.settled:
+        notes.append(
+            f"the model's own simulation did not settle in {int((~every.converged).sum())} of {len(data.u)} "
+            "experiments, so its gap is that of the last iterate"
+        )
+    before = level(data, every.y[shown], shown)
+    rest = data.Y - lines_of(every.y)
+    division = divide(rig, data, rest, lines_of(data.u) * hold_factor(rig)[:, None])
+    bands = band_shares(rig, data, division)
+    result = Diagnosis(
+        Verdict.NO_GAP,
+        gap_levels(before, before, gap=False),
+        node_gaps(rig, before, before, division),
+        (),
+        (),
+        (),
+        (),
+        halves.realisations,
+        bands,
+        (),
+        0.0,
+        model,
+        (),
+        tuple(notes),
+    )
+    if before.whitened <= noise_bound(data, len(shown)):
+        progress("done", 1.0)
+        return result
+    setting = replace(setting, top=_top(rig, data, rest))
+    search = Search(setting, halves.fitted, halves.held, progress)
+    searched = search.run()
+    if not searched.ranked and db(float(before.power.mean())) - db(float(before.noise.mean())) < 0.1:
+        notes.append("the gap lies outside the 99 % bound of noise, but by less than 0.1 dB; no effect was found")
+        return replace(result, not_claimed=tuple(notes))
+    progress("final fit", 0.85)
+    return _concluded(result, setting, search, searched, halves, before, division, notes, progress)
+
+
+def _concluded(
+    result: Diagnosis,
+    setting: Setting,
+    search: Search,
+    searched: Searched,
+    halves: _Halves,
+    before: Level,
+    division: object,
+    notes: list[str],
+    progress: Progress,
+) -> Diagnosis:
+    rig, model, data = setting.rig, setting.model, setting.data
+    shown = halves.held if len(halves.held) else halves.fitted
+    tested = tuple(VOCABULARY)
+    after, final = before, None
+    if searched.ranked:
+        final = _final(setting, searched.ranked[0].refined, halves)
+        steady = setting.simulate(final.hypothesis, shown)
+        if steady.settled:
+            after = level(data, steady.y, shown)
+        else:
+            notes.append("the corrected model's simulation does not settle, so it is not claimed")
+            final = None
+    gap = gap_levels(before, after, gap=True)
+    verdict = judge(gap, final.hypothesis if final else None)
+    chances, unknown = probabilities(search, searched)
+    if verdict is Verdict.UNKNOWN or final is None:
+        gap = gap_levels(before, before, gap=True)
+        where = missing_force(setting, Hypothesis(), searched.places, halves.fitted)
+        return replace(
+            result,
+            verdict=Verdict.UNKNOWN,
+            gap=replace(gap, closed=0.0),
+            where=where,
+            curves=force_curves(setting, Hypothesis(), where, halves.fitted),
+            unknown_probability=1.0,
+            tested=tested,
+            not_claimed=tuple(notes),
+        )
+    named = as_causes(setting, final, searched, chances, halves.fitted, shown, gap)
+    corrected = apply(model, final.hypothesis)
+    where, seen, shown_there = _where(setting, final.hypothesis, searched, halves)
+    progress("done", 1.0)
+    return replace(
+        result,
+        verdict=verdict,
+        gap=gap,
+        nodes=node_gaps(rig, before, after, division),  # type: ignore[arg-type]
+        where=where,
+        causes=named.causes,
+        alternatives=named.alternatives,
+        linear_corrections=named.corrections,
+        curves=force_curves(seen, shown_there, where, halves.fitted),
+        unknown_probability=unknown,
+        corrected=corrected,
+        tested=tested,
+        not_claimed=tuple(notes),
+    )
+
+
+def _where(
+    setting: Setting, hypothesis: Hypothesis, searched: Searched, halves: _Halves
+) -> tuple[tuple[MissingForce, ...], Setting, Hypothesis]:
+    """Places of the effects; linear corrections beside them are in the model that they are seen through."""
+    if hypothesis.effects and len(hypothesis.linear) > FEW:
+        corrected = apply(setting.model, Hypothesis(linear=hypothesis.linear))
+        setting, hypothesis = replace(setting, model=corrected), replace(hypothesis, linear=())
+    return missing_force(setting, hypothesis, searched.places, halves.fitted), setting, hypothesis
+
+
+def _final(setting: Setting, refined: Refined, halves: _Halves) -> Refined:
+    """Fit once more, to all experiments that may be fitted."""
+    final = refine(setting, refined.hypothesis, halves.fitted, halves.held[:6], _STEPS_FINAL)
+    return final if final.settled else refined
+
+
+def _top(rig: Rig, data: PeriodicData, rest: np.ndarray) -> int:
+    """Lines, from DC on, that hold a gap above noise, in blocks; at least the excited ones and a fifth more."""
+    block = 16
+    lines = rest.shape[1]
+    white = np.mean(np.abs(rest) ** 2 / data.variance, axis=(0, 2))
+    blocks = white[: lines // block * block].reshape(-1, block).mean(axis=1)
+    floor = data.degrees / (data.degrees - 1)
+    count = block * rest.shape[0] * rest.shape[2]
+    above = np.flatnonzero(blocks > floor * (1 + 6 / np.sqrt(count) + 3 / np.sqrt(data.degrees * block)))
+    least = min(int(1.2 * rig.lines[-1]) + 2, lines)
+    return int(min(max((above[-1] + 1) * block if len(above) else 0, least), lines))
+
+
+def _notes(rig: Rig, data: PeriodicData, halves: _Halves) -> list[str]:
+    notes = []
+    if not halves.realisations:
+        notes.append(
+            "the recording has one realisation, so nothing could be kept aside: the gaps are those of the data "
+            "that were fitted, and that the correction holds for other excitations is not claimed"
+        )
+    if rig.n == 1:
+        notes.append("one node is measured, so ground, actuator and sensor are told apart by their laws alone")
+    if data.degrees <= 3:
+        notes.append("the noise is known from very few periods")
+    notes.append("effects between points that are not measured were not tested")
+    return notes
+
+
+def validate(rig: Rig, model: Model, diagnosis: Diagnosis, other: PeriodicData) -> Validation:
+    """See whether a corrected model holds in another recording, at best at another amplitude.
+
+    An effect of the right kind keeps its parameters there; one that stands in for another was right at one
+    amplitude only, and needs other numbers at the second or does not fit at all.
+
+    Parameters
+    ----------
+    rig : Rig
+    model : Model
+        As it was diagnosed.
+    diagnosis : Diagnosis
+    other : PeriodicData
+
+    Returns
+    -------
+    Validation
+    """
+    every = np.arange(len(other.u))
+    old = Setting(rig, model, other, len(other.variance)).simulate(Hypothesis(), every)
+    setting = Setting(rig, diagnosis.corrected, other, len(other.variance))
+    new = setting.simulate(Hypothesis(), every)
+    before, after = level(other, old.y, every), level(other, new.y, every)
+    gap = gap_levels(before, after, gap=True)
+    rest = other.Y - lines_of(old.y)
+    division = divide(rig, other, rest, lines_of(other.u) * hold_factor(rig)[:, None])
+    nodes = node_gaps(rig, before, after, division)
+    named = (
+        ", ".join(f"{cause.effect} at {'-'.join(cause.at)}" for cause in diagnosis.causes)
+        or "the linear corrections"
+    )
+    if diagnosis.verdict in (Verdict.NO_GAP, Verdict.UNKNOWN):
+        holds = after.whitened <= noise_bound(other, len(every))
+        state = "agrees with the other recording too" if holds else "leaves a gap in the other recording"
+        return Validation(holds, gap, nodes, {}, f"Nothing was put into the model; it {state}.")
+    if not new.settled:
+        return Validation(False, gap, nodes, {}, "The corrected model does not settle at the other inputs.")
+    holds = (gap.closed or 0.0) >= CLOSED and gap.after_db <= gap.noise_db + WITHIN_DB
+    if holds:
+        return Validation(True, gap, nodes, {}, f"The model with {named} holds in the other recording.")
+    refitted = _refitted(setting, diagnosis, other)
+    moved = "; fitted anew it has other parameters there" if refitted else ""
+    return Validation(
+        False,
+        gap,
+        nodes,
+        refitted,
+        f"{named} stands in for another effect: it does not hold in the other recording{moved}.",
+    )
+
+
+def _refitted(setting: Setting, diagnosis: Diagnosis, other: PeriodicData) -> dict[str, float]:
+    """Parameters of the causes fitted to another recording; empty where that does not settle."""
+    model = diagnosis.corrected
+    wanted = [(cause.effect, cause.at) for cause in diagnosis.causes]
+    chosen = [i for i, effect in enumerate(model.effects) if (effect.effect, effect.at) in wanted]
+    hypothesis = Hypothesis(tuple(model.effects[i] for i in chosen), (), tuple(chosen))
+    few = np.arange(len(other.u))[:6]
+    refined = refine(replace(setting, top=_top(setting.rig, other, other.Y)), hypothesis, few, few[:0], 3)
+    if not refined.settled:
+        return {}
+    return {
+        f"{effect}: {name}": value
+        for effect in refined.hypothesis.effects
+        for name, value in effect.parameters().items()
+    }

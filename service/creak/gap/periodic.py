@@ -1,0 +1,130 @@
+"""Complete realisations of a recording with all their lines, as a diagnosis needs them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+
+from creak.errors import MeasurementError
+from creak.realisations import Collector
+from creak.records import Complex, Fault, Frame, FrameStatus, Real, Run
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicData:
+    """Steady period means of all experiments, and the noise that they carry.
+
+    Parameters
+    ----------
+    realisation : array of int, (E,)
+        To which realisation an experiment belongs; as they were recorded.
+    u : array, (E, q, N)
+        Inputs, mean over the steady periods.
+    y : array, (E, n, N)
+        Responses, mean over the steady periods.
+    Y : array, (E, L, n)
+        DFT of the means divided by N at all lines, ``L = N//2 + 1``.
+    variance : array, (L, n)
+        Variance of the noise of the *mean* of an experiment's periods, ``sigma_n^2/P`` of (40).
+    degrees : float
+        Complex degrees of freedom behind each variance, ``E (P - 1)`` times the lines that were pooled.
+    periods : int
+        P.
+    pooled : int
+        Neighbouring lines whose scatter makes one variance.
+    """
+
+    realisation: np.ndarray[tuple[int], np.dtype[np.int64]]
+    u: Real
+    y: Real
+    Y: Complex
+    variance: Real
+    degrees: float
+    periods: int
+    pooled: int = 1
+
+
+_FEWEST_DEGREES = 24  # below this the noise of neighbouring lines is pooled: a few periods give no weight
+_FLOOR = 1e-10  # least noise power relative to the response: rounding, where a recording has no noise at all
+
+
+def gather(run: Run, items: Iterable[Frame | Fault]) -> PeriodicData:
+    """Gather what a source yields; what the monitor would refuse is left out here too.
+
+    Parameters
+    ----------
+    run : Run
+    items : iterable of Frame or Fault
+        For instance ``Recording.frames()``.
+
+    Returns
+    -------
+    PeriodicData
+
+    Raises
+    ------
+    MeasurementError
+        If no realisation is complete, or an experiment has one steady period only.
+    """
+    rig = run.rig
+    if run.steady_periods < 2:
+        raise MeasurementError(
+            "the recording has 1 steady period an experiment, so its noise is not known; needed are 2 or more"
+        )
+    collector = Collector(run)
+    pending: dict[tuple[int, int, int], Frame] = {}
+    indices: list[int] = []
+    u: list[Real] = []
+    y: list[Real] = []
+    scatter = np.zeros((rig.period_samples // 2 + 1, rig.n))
+    for item in items:
+        if isinstance(item, Fault):
+            collector.lose(item)
+            continue
+        collected = collector.take(item)
+        frame = collected.frame
+        if frame.status is FrameStatus.ACCEPTED:
+            pending[frame.realisation, frame.experiment, frame.period] = frame
+        if collected.realisation is None:
+            continue
+        index = collected.realisation.index
+        for c in range(rig.q):
+            whole = [pending[index, c, p] for p in range(rig.transient_periods, run.periods)]
+            mean = np.mean([frame.y for frame in whole], axis=0)
+            for frame in whole:
+                scatter += np.abs(scipy.fft.rfft(frame.y - mean, axis=-1).T / rig.period_samples) ** 2
+            indices.append(index)
+            u.append(np.mean([frame.u for frame in whole], axis=0))
+            y.append(mean)
+        pending = {key: kept for key, kept in pending.items() if key[0] > index}
+    if not indices:
+        raise MeasurementError("the recording has no complete realisation, so there is nothing to diagnose")
+    degrees = len(indices) * (run.steady_periods - 1)
+    return _data(np.array(indices), np.array(u), np.array(y), scatter, degrees, run.steady_periods)
+
+
+def _data(
+    realisation: np.ndarray[tuple[int], np.dtype[np.int64]],
+    u: Real,
+    y: Real,
+    scatter: Real,
+    degrees: int,
+    periods: int,
+) -> PeriodicData:
+    size = y.shape[-1]
+    Y = np.ascontiguousarray(np.swapaxes(scipy.fft.rfft(y, axis=-1), -1, -2)) / size
+    pooled = 1
+    variance = scatter / degrees
+    if degrees < _FEWEST_DEGREES:
+        pooled = 2 * (-(-_FEWEST_DEGREES // degrees) // 2) + 1
+        kernel = np.ones(pooled) / pooled
+        padded = np.pad(variance, ((pooled // 2, pooled // 2), (0, 0)), mode="reflect")
+        variance = np.stack(
+            [np.convolve(padded[:, i], kernel, mode="valid") for i in range(variance.shape[1])], -1
+        )
+    power = np.mean(np.sum(np.abs(Y) ** 2, axis=1), axis=0)
+    floor = _FLOOR * power / Y.shape[1] + np.finfo(float).tiny
+    return PeriodicData(
+        realisation, u, y, Y, np.maximum(variance / periods, floor), float(degrees * pooled), periods, pooled
+    )

@@ -1,0 +1,210 @@
+"""Least squares of the whitened motion on columns ``q(w) Phi(w)``, from the sums over experiments alone.
+
+A column is a pattern over the nodes, ``q (L, n)``, times the lines of one scalar force or signal,
+``Phi (E, L)``. All that least squares needs of two columns is
+``Re sum_l (q_i^H q_j)_l (sum_e conj(Phi_i) Phi_j)_l``, so a law is tried by one DFT and a few sums, however many
+linear elements are free beside it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from creak.gap.view import View
+from creak.mechanics.effects import GROUND, Damping, Effect, Mass, Stiffness
+from creak.records import Complex, Real
+
+Indices = NDArray[np.int64]
+
+LinearKind = type[Stiffness] | type[Damping] | type[Mass]
+
+LINEAR: dict[type[Effect], int] = {Stiffness: 0, Damping: 1, Mass: 2}
+"""Linear elements, and how often the displacement is differentiated for their force."""
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One term of the regression.
+
+    Parameters
+    ----------
+    q : array, (L, n)
+    phi : array, (E, L)
+        At the experiments of both sets.
+    fixed : bool
+        Its coefficient is 1 and not fitted.
+    """
+
+    q: Complex
+    phi: Complex
+    fixed: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Result of one regression.
+
+    Parameters
+    ----------
+    linear : array, (K,)
+        Coefficients of the linear elements; 0 where they were held.
+    own : array
+        Coefficients of the other columns.
+    left, held : float
+        Whitened power that is left a complex sample, on the experiments of the fit and on those kept aside.
+    """
+
+    linear: Real
+    own: Real
+    left: float
+    held: float
+
+
+def internal_places(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Every pair of nodes, and every node with the ground."""
+    pairs = [(name, GROUND) for name in names]
+    return pairs + [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+
+
+def linear_elements(names: Sequence[str]) -> list[tuple[LinearKind, tuple[str, str]]]:
+    """Springs and dampers at every place, masses at every node."""
+    places = internal_places(names)
+    out: list[tuple[LinearKind, tuple[str, str]]] = [(Stiffness, at) for at in places]
+    out += [(Damping, at) for at in places]
+    return out + [(Mass, at) for at in places if at[1] == GROUND]
+
+
+class Sums:
+    """Sums over experiments of one view with its linear elements, for a set that is fitted and one kept aside.
+
+    Parameters
+    ----------
+    view : View
+    fitted, held : array of int
+        Experiments; where none are held, the fitted ones stand in.
+    """
+
+    def __init__(self, view: View, fitted: Indices, held: Indices) -> None:
+        self.view = view
+        self.sets = (fitted, held if len(held) else fitted)
+        self.elements = linear_elements(view.names)
+        lines = len(view.s)
+        self.q = np.stack([view.pattern(at, "internal") for _, at in self.elements], axis=-1)
+        self.phi = np.stack(
+            [(view.D @ view.weights(at)) * view.s ** LINEAR[kind] for kind, at in self.elements], axis=-1
+        )
+        self.counts = tuple(len(chosen) * lines * view.rig.n for chosen in self.sets)
+        between = np.einsum("lni,lnj->lij", self.q.conj(), self.q)
+        self.gram, self.right, self.power, self._psi = [], [], [], []
+        for chosen in self.sets:
+            phi, r = self.phi[chosen], view.r[chosen]
+            psi = np.matmul(phi.transpose(1, 2, 0).conj(), phi.transpose(1, 0, 2))  # (L, K, K)
+            self._psi.append(psi)
+            self.gram.append(np.sum((between * psi).real, axis=0))
+            onto = np.matmul(phi.transpose(1, 2, 0).conj(), r.transpose(1, 0, 2))  # (L, K, n)
+            self.right.append(np.sum((self.q.conj().transpose(0, 2, 1) * onto).real, axis=(0, 2)))
+            self.power.append(float(np.sum(np.abs(r) ** 2)))
+
+    def fit(self, columns: Sequence[Column] = (), free: NDArray[np.bool_] | None = None) -> Fitted:
+        """Fit columns beside linear elements.
+
+        Parameters
+        ----------
+        columns : sequence of Column
+        free : array of bool, (K,), optional
+            Linear elements that are fitted too; by default none.
+        """
+        K = len(self.elements)
+        free = np.zeros(K, dtype=bool) if free is None else free
+        systems = [self._system(i, columns, free) for i in range(2)]
+        fixed = np.array([False] * int(free.sum()) + [column.fixed for column in columns], dtype=bool)
+        gram, right, _ = systems[0]
+        theta = fixed.astype(float)
+        moving = ~fixed
+        theta[moving] = solve(
+            gram[np.ix_(moving, moving)], right[moving] - gram[np.ix_(moving, fixed)].sum(axis=1)
+        )
+        left = [
+            (power - 2 * theta @ right + theta @ gram @ theta) / count
+            for (gram, right, power), count in zip(systems, self.counts, strict=True)
+        ]
+        linear = np.zeros(K)
+        linear[free] = theta[: int(free.sum())]
+        return Fitted(linear, theta[int(free.sum()) :], float(left[0]), float(left[1]))
+
+    def _system(self, which: int, columns: Sequence[Column], free: NDArray[np.bool_]) -> tuple[Real, Real, float]:
+        """Normal equations of free linear elements, then columns."""
+        chosen = self.sets[which]
+        m = int(free.sum())
+        size = m + len(columns)
+        gram, right = np.zeros((size, size)), np.zeros(size)
+        gram[:m, :m] = self.gram[which][np.ix_(free, free)]
+        right[:m] = self.right[which][free]
+        phi, q = self.phi[chosen][..., free], self.q[..., free]
+        r = self.view.r[chosen]
+        for i, column in enumerate(columns, start=m):
+            own = column.phi[chosen].conj()
+            if m:
+                psi = np.einsum("el,elk->lk", own, phi)
+                gram[i, :m] = gram[:m, i] = np.sum(
+                    (np.einsum("ln,lnk->lk", column.q.conj(), q) * psi).real, axis=0
+                )
+            right[i] = np.sum((column.q.conj() * np.einsum("el,eln->ln", own, r)).real)
+            for j, other in enumerate(columns[: i - m + 1], start=m):
+                psi_own = np.sum(own * other.phi[chosen], axis=0)
+                gram[i, j] = gram[j, i] = np.sum((np.sum(column.q.conj() * other.q, axis=1) * psi_own).real)
+        return gram, right, self.power[which]
+
+    def beside_free_force(self, patterns: Complex, free: NDArray[np.bool_]) -> float:
+        """Whitened power a complex sample that a free force per line and experiment leaves at a place.
+
+        Parameters
+        ----------
+        patterns : array, (L, n, k)
+            Patterns of the place, or of several places together.
+        free : array of bool, (K,)
+            Linear elements fitted beside it.
+
+        Returns
+        -------
+        float
+            Relative to what is left to noise, ``n - k`` of n samples.
+        """
+        n, k = patterns.shape[1:]
+        basis = np.linalg.qr(patterns)[0]
+        chosen = self.sets[0]
+        r, phi = self.view.r[chosen], self.phi[chosen][..., free]
+        along = np.einsum("lnk,eln->elk", basis.conj(), r)
+        power = self.power[0] - float(np.sum(np.abs(along) ** 2))
+        if free.any():
+            hq = np.einsum("lnk,lnj->lkj", basis.conj(), self.q[..., free])
+            psi = self._psi[0][np.ix_(np.arange(len(basis)), free, free)]
+            gram = self.gram[0][np.ix_(free, free)]
+            gram = gram - np.sum((np.einsum("lki,lkj->lij", hq.conj(), hq) * psi).real, axis=0)
+            onto = np.einsum("elj,elk->lkj", phi.conj(), along)
+            right = self.right[0][free] - np.sum((hq.conj() * onto).real, axis=(0, 1))
+            theta = solve(gram, right, np.diag(self.gram[0])[free])
+            power += -2 * theta @ right + theta @ gram @ theta
+        return float(power / (self.counts[0] * (n - k) / n))
+
+
+def solve(gram: Real, right: Real, size: Real | None = None) -> Real:
+    """Solve normal equations of columns of very unlike size; what the data do not determine stays 0.
+
+    Parameters
+    ----------
+    gram : array, (K, K)
+    right : array, (K,)
+    size : array, (K,), optional
+        Power of the columns; that of a column which a projection has all but removed is rounding, and it is
+        recognised by its power before.
+    """
+    if not len(right):
+        return np.zeros(0)
+    scale = np.sqrt(np.maximum(np.diag(gram) if size is None else size, 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    kept = values > 1e-10 * max(values[-1], 1e-300)
+    along = vectors.T @ (right / scale)
+    return np.asarray(vectors[:, kept] @ (along[kept] / values[kept]) / scale)

@@ -1,0 +1,216 @@
+"""Ranking by regression: places by a free force, then the laws that compete there.
+
+They compete alone, in pairs, beside linear elements, or in place of an effect that the model has.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from creak.gap.candidates import Candidate, candidates_at, group_of, optimise, places
+from creak.gap.hypothesis import Hypothesis, LinearKey
+from creak.gap.regression import LINEAR, Column, Indices, Sums
+from creak.gap.view import View
+from creak.mechanics.effects import GROUND, Effect, Resonator
+from creak.records import Real
+
+_FAILED = 2.0  # whitened power beyond which a law has not explained a place, and a hidden mode is tried there
+_SMALL = 6  # experiments on which inner parameters are searched
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A hypothesis as the regression has it, with what it leaves relative to noise on experiments kept aside."""
+
+    hypothesis: Hypothesis
+    rest: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A candidate with its inner parameter and the column that it makes."""
+
+    candidate: Candidate
+    inner: float | Real
+    column: Column
+    rest: float
+
+
+class Scan:
+    """One view of one recording, ready to be searched.
+
+    Parameters
+    ----------
+    view : View
+    fitted, held : array of int
+    floor : float
+        Whitened power of noise alone, ``nu/(nu - 1)``.
+    """
+
+    def __init__(self, view: View, fitted: Indices, held: Indices, floor: float) -> None:
+        self.view, self.floor = view, floor
+        self.sums = Sums(view, fitted, held)
+        few = fitted[:_SMALL]
+        self.few = few
+        self._small = Sums(view, few, few)
+        self.all = np.arange(len(view.r))
+
+    @property
+    def none(self) -> NDArray[np.bool_]:
+        """No linear element."""
+        return np.zeros(len(self.sums.elements), dtype=bool)
+
+    def rest(self) -> float:
+        """Whitened power that the model leaves, relative to noise."""
+        return self.sums.fit().held / self.floor
+
+    def places(
+        self, free: NDArray[np.bool_], beside: Sequence[tuple[str, tuple[str, ...]]] = ()
+    ) -> list[tuple[float, str, tuple[str, ...]]]:
+        """Places by what a free force there (and at those beside) leaves relative to noise, the best first."""
+        n = self.view.rig.n
+        if n <= 1 + len(beside):
+            return [(1.0, group, at) for group, at in places(self.view)]
+        fixed = [self.view.pattern(at, group) for group, at in beside]
+        found = []
+        for group, at in places(self.view):
+            pattern = np.stack([*fixed, self.view.pattern(at, group)], axis=-1)
+            found.append((self.sums.beside_free_force(pattern, free) / self.floor, group, at))
+        return sorted(found, key=lambda item: item[0])
+
+    def trials(
+        self,
+        group: str,
+        at: tuple[str, ...],
+        free: NDArray[np.bool_],
+        beside: Sequence[Column] = (),
+        kinds: frozenset[type[Effect]] | None = None,
+    ) -> list[Trial]:
+        """Every effect at one place, inner parameters optimised, the best first."""
+        found = []
+        for candidate in candidates_at(group, at):
+            if kinds is not None and candidate.kind not in kinds:
+                continue
+            if candidate.kind in LINEAR and (free.any() or _massless(candidate)):
+                continue
+            found.append(self.trial(candidate, free, beside))
+        if (
+            group == "internal"
+            and at[1] == GROUND
+            and kinds is None
+            and min(item.rest for item in found) > _FAILED
+        ):
+            found.append(self.trial(Candidate(Resonator, at[:1], group), free, beside))
+        return sorted(found, key=lambda item: item.rest)
+
+    def trial(self, candidate: Candidate, free: NDArray[np.bool_], beside: Sequence[Column] = ()) -> Trial:
+        """One candidate with its inner parameter optimised."""
+
+        def score(column: Column) -> float:
+            return self._small.fit([*beside, column], free).left
+
+        inner = optimise(candidate, self.view, self.few, score)
+        column = candidate.column(self.view, inner, self.all)
+        fit = self.sums.fit([*beside, column], free)
+        possible = candidate.effect(float(fit.own[-1]), inner) is not None
+        return Trial(candidate, inner, column, fit.held / self.floor if possible else np.inf)
+
+    def hypothesis(self, trials: Sequence[Trial], free: NDArray[np.bool_], dropped: tuple[int, ...] = ()) -> Found:
+        """Trials together, their coefficients fitted jointly, beside linear elements."""
+        fit = self.sums.fit([trial.column for trial in trials], free)
+        effects = [
+            trial.candidate.effect(float(coefficient), trial.inner)
+            for trial, coefficient in zip(trials, fit.own, strict=True)
+        ]
+        linear = tuple((self.key(i), float(fit.linear[i])) for i in np.flatnonzero(free).tolist())
+        if any(effect is None for effect in effects):
+            return Found(Hypothesis((), linear, dropped), np.inf)
+        kept = tuple(effect for effect in effects if effect is not None)
+        return Found(Hypothesis(kept, linear, dropped), fit.held / self.floor)
+
+    def key(self, i: int) -> LinearKey:
+        """Linear element by its index."""
+        return self.sums.elements[i]
+
+    def pairs(self, pairs: Sequence[tuple[Trial, Trial]], free: NDArray[np.bool_], most: int) -> list[Found]:
+        """Pairs of trials fitted jointly; the best of them with their inner parameters optimised in turn."""
+        rough = []
+        for one, other in pairs:
+            fit = self._small.fit([one.column, other.column], free)
+            rough.append((fit.left, one, other))
+        rough.sort(key=lambda item: item[0])
+        found = []
+        for _, one, other in rough[:most]:
+            a, b = one, other
+            for _ in range(3):
+                a = self.trial(a.candidate, free, [b.column])
+                b = self.trial(b.candidate, free, [a.column])
+            found.append(self.hypothesis([a, b], free))
+        return sorted(found, key=lambda item: item.rest)
+
+    def pruned(self, trials: Sequence[Trial], free: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
+        """Linear elements that matter: the one that costs least is dropped until every one costs ``least``.
+
+        The cost is in twice the log likelihood, with the rest taken as the noise that it is measured against.
+        """
+        columns = [trial.column for trial in trials]
+        gram, right, power = self.sums._system(0, columns, free)
+        fixed = np.array([False] * int(free.sum()) + [c.fixed for c in columns], dtype=bool)
+        right = right - gram[:, fixed].sum(axis=1)
+        keep = list(np.flatnonzero(~fixed))
+        chosen = list(np.flatnonzero(free))
+        m = len(chosen)
+        while True:
+            linear = [k for k in keep if k < m]
+            if not linear:
+                break
+            sub = gram[np.ix_(keep, keep)]
+            scale = np.sqrt(np.maximum(np.diag(sub), 1e-300))
+            inverse = np.linalg.pinv(sub / np.outer(scale, scale), rcond=1e-10, hermitian=True)
+            theta = inverse @ (right[keep] / scale)
+            left = (power - theta @ (right[keep] / scale)) / self.sums.counts[0]
+            cost = 2 * theta**2 / np.maximum(np.diag(inverse), 1e-300) / max(left, 1e-300)
+            costs = [cost[keep.index(k)] for k in linear]
+            worst = int(np.argmin(costs))
+            if costs[worst] >= least:
+                break
+            keep.remove(linear[worst])
+        mask = self.none
+        mask[[chosen[k] for k in keep if k < m]] = True
+        return mask
+
+
+def _massless(candidate: Candidate) -> bool:
+    return candidate.kind.effect == "mass" and candidate.at[1] != GROUND
+
+
+def same_place(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
+    """Places that touch the same nodes in the same way."""
+    return set(a) == set(b)
+
+
+def combos(first: Sequence[Trial], second: Sequence[Trial], most: int) -> list[tuple[Trial, Trial]]:
+    """Pairs of the better trials of two places, or of one."""
+    if first is second:
+        return list(combinations(first[:most], 2))
+    return [(a, b) for a in first[:most] for b in second[:most]]
+
+
+def replacement(scan: Scan, effect: Effect, index: int) -> Found:
+    """An effect of the model, taken out of the scanned view, with its best parameters."""
+    candidate = Candidate(type(effect), effect.at, group_of(effect.at, type(effect)))
+    trial = scan.trial(candidate, scan.none)
+    return scan.hypothesis([trial], scan.none, (index,))
+
+
+def strongest_lines(power: Real, share: float) -> tuple[int, int]:
+    """First and last line of the band that holds a share of a power, the rest split evenly beside it."""
+    total = np.cumsum(power)
+    if total[-1] <= 0:
+        return 0, len(power) - 1
+    rest = (1 - share) / 2
+    first = int(np.searchsorted(total, rest * total[-1]))
+    return first, int(min(np.searchsorted(total, (1 - rest) * total[-1]), len(power) - 1))

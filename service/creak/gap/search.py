@@ -1,0 +1,293 @@
+"""From one recording and one model to the hypothesis that explains the gap, simplest first."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from creak.errors import ConfigurationError
+from creak.gap.hypothesis import Hypothesis, apply, own_elements
+from creak.gap.refine import Refined, Setting, refine
+from creak.gap.regression import Indices
+from creak.gap.scan import Found, Scan, Trial, combos, replacement
+from creak.gap.view import see
+from creak.mechanics.effects import Resonator, Restoring
+from creak.mechanics.electronics import Electronic
+
+Report = Callable[[str, float], None]
+
+CLOSED = 5e-3  # of the excess over noise that an explanation may leave
+FLOOR = 1.08  # times noise that it may leave
+_FEW = 4  # experiments on which hypotheses compete
+_PLACES = 4  # best places at which laws are tried
+_HOPELESS = 1e-3  # of the excess: what a regression may leave and its output-error fit still reach noise
+_MATTERS = 25.0  # twice the log likelihood that a linear element must bring
+_ONE_PLACE = 1.15  # what a free force leaves at most at the only place where something acts
+_MANY = 4.0  # and beyond which no single place is worth a law
+_COMPETING = 4  # best regressions that are fitted to the output
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A hypothesis that was fitted to the output, with its Bayesian information criterion."""
+
+    refined: Refined
+    score: float
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """What it supposes."""
+        return self.refined.hypothesis
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """What a search ended with.
+
+    Parameters
+    ----------
+    ranked : tuple of Ranked
+        Hypotheses of the last stage that was needed, the best first; empty if there was none.
+    explained : bool
+        The best one leaves noise.
+    places : list
+        Places by what a free force there leaves, the linear part as the best hypothesis has it.
+    """
+
+    ranked: tuple[Ranked, ...]
+    explained: bool
+    places: list[tuple[float, str, tuple[str, ...]]] = field(default_factory=list)
+
+
+class Search:
+    """Search on one recording.
+
+    Parameters
+    ----------
+    setting : Setting
+    fitted, held : array of int
+        Experiments; none may be held.
+    report : callable
+    """
+
+    def __init__(self, setting: Setting, fitted: Indices, held: Indices, report: Report) -> None:
+        self.setting, self.fitted, self.held, self.report = setting, fitted, held, report
+        degrees = setting.data.degrees
+        self.floor = degrees / (degrees - 1)
+        self.few = fitted[np.linspace(0, len(fitted) - 1, min(_FEW, len(fitted))).astype(int)]
+        self.aside = held[: _FEW - 1] if len(held) else self.few
+        self.before = self._scan(setting).rest()
+        self._placed_beside_linear: list[tuple[float, str, tuple[str, ...]]] = []
+
+    def run(self) -> Searched:
+        """Try one effect, wrong parameters of the model's own, linear elements, both, and pairs, in this order."""
+        base = self._scan(self.setting)
+        places = base.places(base.none)
+        several = self.setting.rig.n > 1
+        one_place = several and places[0][0] < _ONE_PLACE
+        self.report("one effect", 0.1)
+        singles: list[Found] = []
+        trials: dict[tuple[str, ...], list[Trial]] = {}
+        # A law leaves at least what a free force at its place leaves.
+        if not several or places[0][0] < max(_MANY, _HOPELESS * self.before):
+            singles, trials = self._singles(base, places, base.none)
+        stage = self._compete([*self._replacements(), *singles])
+        if self._explains(stage):
+            return Searched(stage, True, places)
+        beside: tuple[Ranked, ...] = ()
+        if not one_place:
+            self.report("linear elements", 0.35)
+            beside = self._beside_linear()
+            if self._explains(beside):
+                return Searched(beside, True, self._places_after(beside[0]))
+        self.report("two effects", 0.6)
+        two = self._compete(self._pairs(base, places, trials, base.none, one_place=one_place))
+        if self._explains(two):
+            return Searched(two, True, places)
+        every = tuple(sorted([*stage, *beside, *two], key=lambda item: item.score))
+        if beside and every[0] in beside:
+            places = self._places_after(every[0])
+        elif self._placed_beside_linear and self._placed_beside_linear[0][0] < 0.5 * places[0][0]:
+            places = self._placed_beside_linear
+        return Searched(every, False, places)
+
+    def explains(self, refined: Refined) -> bool:
+        """Whether what is left is noise, by the experiments kept aside."""
+        if not refined.settled:
+            return False
+        rest = refined.held / self.floor - 1
+        count = len(self.aside) * self.setting.top * self.setting.rig.n
+        chance = 3 / np.sqrt(count)
+        return bool(rest <= max(FLOOR - 1, chance)) and bool(rest <= max(CLOSED * (self.before - 1), chance))
+
+    def _explains(self, stage: Sequence[Ranked]) -> bool:
+        return bool(stage) and self.explains(stage[0].refined)
+
+    def _scan(self, setting: Setting) -> Scan:
+        view = see(setting.rig, setting.model, setting.data, setting.top)
+        return Scan(view, self.fitted, self.held, self.floor)
+
+    def _singles(
+        self,
+        scan: Scan,
+        places: Sequence[tuple[float, str, tuple[str, ...]]],
+        free: NDArray[np.bool_],
+    ) -> tuple[list[Found], dict[tuple[str, ...], list[Trial]]]:
+        trials = {}
+        found = []
+        for _, group, at in _worth(places):
+            trials[at] = scan.trials(group, at, free)
+            had = {(type(effect), effect.at) for effect in self.setting.model.effects}
+            found += [
+                scan.hypothesis([trial], free)
+                for trial in trials[at]
+                if np.isfinite(trial.rest) and (trial.candidate.kind, trial.candidate.at) not in had
+            ]
+        return sorted(found, key=lambda item: item.rest), trials
+
+    def _replacements(self) -> list[Found]:
+        """Effects that the model has, with other parameters."""
+        found = []
+        for i, effect in enumerate(self.setting.model.effects):
+            if isinstance(effect, Restoring | Electronic) and not isinstance(effect, Resonator):
+                without = replace(self.setting, model=apply(self.setting.model, Hypothesis(dropped=(i,))))
+                found.append(replacement(self._scan(without), effect, i))
+        return found
+
+    def _beside_linear(self) -> tuple[Ranked, ...]:
+        """Linear elements alone, and one effect beside them; whitened anew with the corrected linear part."""
+        scan = self._scan(self.setting)
+        keys = {own.key for own in own_elements(self.setting.model)}
+        own = np.array([element in keys for element in scan.sums.elements])
+        every: list[Ranked] = []
+        for free in [own, ~scan.none] if own.any() else [~scan.none]:
+            alone = scan.hypothesis([], free)
+            stage = self._compete(self._again(alone, free))
+            if not self._explains(stage):
+                places = scan.places(free)
+                if not self._placed_beside_linear or places[0][0] < 0.7 * self._placed_beside_linear[0][0]:
+                    self._placed_beside_linear = places
+                singles, _ = self._singles(scan, places, free)
+                found = [again for first in singles[:1] for again in self._again(first, free)]
+                stage = (*stage, *self._compete(found))
+            stage = tuple(sorted(stage, key=lambda item: item.score))
+            if self._explains(stage):
+                return stage
+            every += stage
+        return tuple(sorted(every, key=lambda item: item.score))
+
+    def _again(self, first: Found, free: NDArray[np.bool_]) -> list[Found]:
+        """Rank once more, seen through the corrected linear part; then drop what does not matter."""
+        linear = dict(first.hypothesis.linear)
+        corrected = replace(
+            self.setting, model=apply(self.setting.model, Hypothesis(linear=first.hypothesis.linear))
+        )
+        try:
+            scan = self._scan(corrected)
+        except ConfigurationError:  # corrected beyond what a structure can be
+            return []
+        found = []
+        if first.hypothesis.effects:
+            places = scan.places(free)
+            _, trials = self._singles(scan, places, free)
+            chosen = [[trial] for at in trials.values() for trial in at if np.isfinite(trial.rest)]
+            chosen.sort(key=lambda item: item[0].rest)
+            chosen = chosen[:3]
+        else:
+            chosen = [[]]
+        whole = self._scan(self.setting)
+        for trials_ in chosen:
+            fit = scan.sums.fit([trial.column for trial in trials_], free)
+            # What matters is judged from the model as it was, where a correction stands whole.
+            again = [whole.trial(trial.candidate, free) for trial in trials_]
+            kept = whole.pruned(again, free, _MATTERS)
+            total = tuple(
+                (key, linear.get(key, 0.0) + float(fit.linear[i]))
+                for i, key in enumerate(scan.sums.elements)
+                if kept[i]
+            )
+            together = scan.hypothesis(trials_, free).hypothesis
+            found.append(Found(replace(together, linear=total), fit.held / self.floor))
+        return found
+
+    def _pairs(
+        self,
+        scan: Scan,
+        places: Sequence[tuple[float, str, tuple[str, ...]]],
+        trials: dict[tuple[str, ...], list[Trial]],
+        free: NDArray[np.bool_],
+        *,
+        one_place: bool,
+    ) -> list[Found]:
+        """Two effects: at one place, and unless there is but one at the best pairs of places."""
+        found: list[Found] = []
+        known = dict(trials)
+
+        def at_place(group: str, at: tuple[str, ...]) -> list[Trial]:
+            if at not in known:
+                known[at] = scan.trials(group, at, free)
+            return known[at]
+
+        ranked = []
+        for i, (_, group, at) in enumerate([] if one_place else places):
+            for rest, other_group, other in scan.places(free, [(group, at)]) if self.setting.rig.n > 2 else places:
+                if any(earlier == other for _, _, earlier in places[: i + 1]):
+                    continue
+                ranked.append((rest, (group, at), (other_group, other)))
+        ranked.sort(key=lambda item: item[0])
+        pairs: list[tuple[Trial, Trial]] = []
+        for _, first, second in ranked[:6]:
+            pairs += combos(at_place(*first), at_place(*second), 20)
+        for _, group, at in places[:2]:
+            own = at_place(group, at)
+            pairs += combos(own, own, 20)
+        found += scan.pairs(pairs, free, 5)
+        return found
+
+    def _compete(self, found: Sequence[Found]) -> tuple[Ranked, ...]:
+        """Fit the better regressions to the output and rank them by the Bayesian information criterion."""
+        found = sorted((item for item in found if np.isfinite(item.rest)), key=lambda item: item.rest)
+        if not found:
+            return ()
+        least = found[0].rest - 1
+        if least > max(30.0, _HOPELESS * (self.before - 1)):
+            return ()
+        close = [item for item in found[:_COMPETING] if item.rest - 1 <= max(0.3, 4 * least)]
+        ranked = []
+        for item in close:
+            refined = refine(self.setting, item.hypothesis, self.few, self.aside, 3)
+            sharper = significant(refined)
+            if refined.settled and sharper.size < refined.hypothesis.size:
+                refined = refine(self.setting, sharper, self.few, self.aside, 2)
+            if refined.settled:
+                ranked.append(Ranked(refined, self._score(refined)))
+        return tuple(sorted(ranked, key=lambda item: item.score))
+
+    def _score(self, refined: Refined) -> float:
+        per = self.setting.top * self.setting.rig.n
+        counts = len(self.few) * per, len(self.aside) * per * bool(len(self.held))
+        power = refined.left * counts[0] + refined.held * counts[1]
+        return 2 * power / self.floor + refined.hypothesis.size * float(np.log(2 * counts[0]))
+
+    def _places_after(self, best: Ranked) -> list[tuple[float, str, tuple[str, ...]]]:
+        linear = Hypothesis(linear=best.hypothesis.linear)
+        scan = self._scan(replace(self.setting, model=apply(self.setting.model, linear)))
+        return scan.places(scan.none)
+
+
+def significant(refined: Refined) -> Hypothesis:
+    """Hypothesis without the linear changes that lie within four standard errors of nothing."""
+    linear = refined.hypothesis.linear
+    errors = np.sqrt(np.maximum(np.diag(refined.covariance), 0.0))[refined.hypothesis.size - len(linear) :]
+    kept = tuple(item for item, error in zip(linear, errors, strict=True) if abs(item[1]) > 4 * error)
+    return replace(refined.hypothesis, linear=kept)
+
+
+def _worth(
+    places: Sequence[tuple[float, str, tuple[str, ...]]],
+) -> list[tuple[float, str, tuple[str, ...]]]:
+    """Places at which laws are tried: those as good as the best, and a few more."""
+    best = places[0][0]
+    good = [place for place in places if place[0] <= max(1.5 * best, 1.2)]
+    return good if len(good) >= _PLACES else list(places[:_PLACES])
