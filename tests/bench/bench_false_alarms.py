@@ -68,11 +68,11 @@ def main(arguments):
     """Measure and print."""
     found = measure()
     if "--json" in arguments:
-        print(json.dumps({"allowed": ALLOWED * SEEDS, "raised": found}))  # noqa: T201
+        print(json.dumps({"allowed": ALLOWED * SEEDS, "raised": found}))
         return
-    print(f"| K of 3 | false alarms of {ALLOWED * SEEDS:g} allowed |\n|---|---|")  # noqa: T201
+    print(f"| K of 3 | false alarms of {ALLOWED * SEEDS:g} allowed |\n|---|---|")
     for exceeding, count in found.items():
-        print(f"| {exceeding} | {count} |")  # noqa: T201
+        print(f"| {exceeding} | {count} |")
 
 
 if __name__ == "__main__":

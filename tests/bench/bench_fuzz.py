@@ -100,7 +100,7 @@ def main():
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     result = measure(options.requests)
-    print(json.dumps(result, indent=None if options.json else 2))  # noqa: T201
+    print(json.dumps(result, indent=None if options.json else 2))
     sys.exit(bool(result["failures"]))
 
 

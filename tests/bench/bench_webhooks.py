@@ -98,10 +98,10 @@ def main():
     options = parser.parse_args()
     result = measure(options.kills)
     if options.json:
-        print(json.dumps(result))  # noqa: T201
+        print(json.dumps(result))
     else:
         for name, value in result.items():
-            print(f"{name:28}{value}")  # noqa: T201
+            print(f"{name:28}{value}")
 
 
 if __name__ == "__main__":
