@@ -190,7 +190,7 @@ recordings = sa.Table(
 jobs = sa.Table(
     "jobs",
     metadata,
-    sa.Column("seq", _Serial, primary_key=True),
+    sa.Column("seq", Serial, primary_key=True),
     sa.Column("id", sa.Text, nullable=False, unique=True),
     sa.Column("kind", sa.String(16), nullable=False),  # diagnosis, replay
     sa.Column("status", sa.String(16), nullable=False),
