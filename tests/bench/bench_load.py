@@ -1,8 +1,8 @@
 """The service under load: three live rigs, reads at a steady rate, and trouble on every side.
 
 Phases: reads alone; then with a receiver of webhooks that never answers and a client of the event stream that
-never reads; then with the store locked by another program as well. Latency counts from the moment at which a request was
-due, so a service that falls behind cannot hide it.
+never reads; then with the store locked by another program as well. Latency counts from the moment at which a
+request was due, so a service that falls behind cannot hide it.
 """
 
 import argparse
