@@ -58,7 +58,7 @@ def databases(draw):
     return text + "\n".join(kinds) + "\n", size
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_bulk_decoding_equals_cantools(data):
     """Kills a wrong shift, sign, byte order, ninth byte, scale, or a multiplexed value taken where it is not."""
@@ -128,7 +128,7 @@ def test_what_a_dbc_must_not_be(tmp_path):
     assert database.signal("B", "", "")[1].name == "One.B"
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_what_is_written_is_what_cantools_writes(data):
     """Kills a rig that sends other bits than the DBC says."""

@@ -63,7 +63,7 @@ def send():
 
 
 def receive():
-    source, mapping = described("one frame", silence=30.0)
+    source, mapping = described("one frame", silence=150.0)
     bus = CanBus(RUN, mapping, source)
     killer = threading.Timer(200, bus.close)
     killer.start()
