@@ -39,7 +39,7 @@ def brief(index, result):
     )
 
 
-def main(cases=200, seed=1, first=0, processes=2, timeout=300.0, budget=None, show=True):
+def main(cases=200, seed=1, first=0, processes=2, timeout=600.0, budget=None, show=True):
     """Run blind trials.
 
     Parameters

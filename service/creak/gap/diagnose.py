@@ -8,7 +8,7 @@ import numpy as np
 from creak.errors import ConfigurationError
 from creak.gap.force import force_curves, missing_force
 from creak.gap.hypothesis import Hypothesis, apply
-from creak.gap.levels import Level, band_shares, db, divide, gap_levels, level, node_gaps, noise_bound
+from creak.gap.levels import Division, Level, band_shares, db, divide, gap_levels, level, node_gaps, noise_bound
 from creak.gap.periodic import PeriodicData
 from creak.gap.records import Diagnosis, MissingForce, Validation, Verdict
 from creak.gap.refine import Refined, Setting, refine
@@ -125,7 +125,7 @@ def _concluded(
     searched: Searched,
     halves: _Halves,
     before: Level,
-    division: object,
+    division: Division,
     notes: list[str],
     progress: Progress,
 ) -> Diagnosis:
@@ -165,7 +165,7 @@ def _concluded(
         result,
         verdict=verdict,
         gap=gap,
-        nodes=node_gaps(rig, before, after, division),  # type: ignore[arg-type]
+        nodes=node_gaps(rig, before, after, division),
         where=where,
         causes=named.causes,
         alternatives=named.alternatives,

@@ -187,11 +187,6 @@ def _massless(candidate: Candidate) -> bool:
     return candidate.kind.effect == "mass" and candidate.at[1] != GROUND
 
 
-def same_place(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
-    """Places that touch the same nodes in the same way."""
-    return set(a) == set(b)
-
-
 def combos(first: Sequence[Trial], second: Sequence[Trial], most: int) -> list[tuple[Trial, Trial]]:
     """Pairs of the better trials of two places, or of one."""
     if first is second:
