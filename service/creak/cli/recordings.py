@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -139,16 +139,22 @@ def replay(
     files: Annotated[list[Path], typer.Argument(help="A recording, or the parts of one.")],
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
+    method: Annotated[
+        Literal["plain", "lpm"],
+        typer.Option(help="plain: drop transient periods; lpm: keep all, and estimate the transient."),
+    ] = "plain",
 ) -> None:
     """Put a recording through the same pipeline as live data: the same numbers come out.
 
     Example: `creak replay three-mass.mcap --json`
     """
     from creak.sources.recording import Recording
+    from creak.sources.settled import SettledSource
 
     recording = Recording(*files)
     newest = _Newest()
-    monitor, end = drive(recording, [newest, ProgressBar("replaying", None)])
+    source = SettledSource(recording) if method == "lpm" else recording
+    monitor, end = drive(source, [newest, ProgressBar("replaying", None)])
     if end.status is RunStatus.INTERRUPTED:
         raise KeyboardInterrupt
     for line in recording.damage:
@@ -161,6 +167,7 @@ def replay(
         rig.name, monitor.counts, newest.estimate, monitor.alarms, recording.truncated, unavailable=unavailable
     )
     document["quality"] = newest.quality
+    document["method"] = method
     if as_json:
         typer.echo(json.dumps(document, indent=1, allow_nan=False))
         return
