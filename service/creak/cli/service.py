@@ -172,7 +172,7 @@ def _empty_store(settings: ServiceSettings) -> None:
 
 
 def _source(table: RigTable, rig: Rig, file: str, key: str) -> Source:
-    """The source of one rig, its run with the rules of the service file; file and key say where it stands there."""
+    """The source of one rig, its run with the rules of the service file; file and key say where it stands."""
     source = _opened(table, rig, file, key)
     source.run = replace(source.run, alarms=table.alarms.rules(), baseline=table.baseline.rules(table.window))
     return source
