@@ -122,7 +122,7 @@ def lightly_damped(z):
 
 
 def levels(model, rig, transient, keep):
-    """Networked noise and total levels of five realisations of four periods, with the same 3 um of noise (some 60 dB) in all."""
+    """Networked noise and total levels, five realisations of four periods, the same 3 um of noise in all."""
     rig = replace(rig, transient_periods=transient)
     source = SimulatedRig(rig, model, steady_periods=4, rms=0.02, seed=3, realisations=5, substeps=4)
 

@@ -31,6 +31,7 @@ from creak.alarm_records import AlarmRules, BaselineRules
 from creak.alarm_records import AlarmState as AlarmState  # noqa: PLC0414
 from creak.alarm_records import Limits as Limits  # noqa: PLC0414
 from creak.findings import DetectionLevel
+from creak.findings import FaultKind as FaultKind  # noqa: PLC0414 - a record, though it stands one module below
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -223,33 +224,6 @@ class Frame:
     y: Real
     status: FrameStatus = FrameStatus.ACCEPTED
     reason: str = ""
-
-
-class FaultKind(StrEnum):
-    """What can go wrong with data."""
-
-    LOST = "lost"  # samples or frames that never came
-    NOT_FINITE = "not-finite"
-    WRONG_SHAPE = "wrong-shape"
-    DOUBLED = "doubled"
-    LATE = "late"  # a frame of a realisation that is closed already
-    OUT_OF_PLAN = "out-of-plan"  # an experiment or a period that the run does not have
-    INCOMPLETE = "incomplete"  # a realisation that closed with experiments missing
-    SINGULAR = "singular"  # a realisation whose input matrix cannot be inverted
-    DAMAGED = "damaged"  # a part of a recording that cannot be read
-    STORAGE = "storage"  # the disk is full
-    TRANSIENT = "transient"  # what was discarded has not died out in what is kept
-    DRIFT = "drift"  # the period is not that of the rig
-    CLIPPED = "clipped"
-    STUCK = "stuck"  # a channel that does not move
-    WRONG_INPUT = "wrong-input"  # other than the excitation says
-    NOT_ORTHOGONAL = "not-orthogonal"  # experiments that resemble each other
-    CORRUPTED = "corrupted"  # a frame of a bus that is too short or has a wrong checksum
-    RESTARTED = "restarted"  # a controller that began again
-    SILENT = "silent"  # a rig that sends nothing
-    BUS_ERROR = "bus-error"  # error frames on a bus
-    BUS_OFF = "bus-off"  # a bus with too many errors, which its interface has left
-    DISCONNECTED = "disconnected"  # an interface that cannot be read
 
 
 @dataclass(frozen=True)
