@@ -131,7 +131,7 @@ def test_openapi_document_is_valid_and_whole(client):
     for (_, path), route in routes.items():
         problems = {status: answer for status, answer in route["responses"].items() if status >= "400"}
         assert path == "/healthz" or {"500", "503"} <= set(problems)
-        assert ("404" in problems) == ("{" in path)
+        assert "404" in problems or "{" not in path
         has_input = bool(route.get("parameters")) or "requestBody" in route
         assert ("422" in problems) == has_input, path
         for answer in problems.values():

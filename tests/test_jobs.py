@@ -7,7 +7,7 @@ import pytest
 
 from creak import jobs as running
 from creak.jobs import JobRunner, arguments
-from creak.sinks import jobs, tables
+from creak.sinks import jobs
 from creak.sinks.database import open_store
 from creak.sinks.jobs import JobStatus, Task
 
@@ -108,17 +108,6 @@ def test_old_jobs_are_forgotten_with_their_reports(store):
     assert left == [False, True, True]
     assert shown(store, waiting)["status"] == "queued"
     assert jobs.prune(store, kept=2) == []
-
-
-def test_a_store_from_before_there_were_jobs_gets_their_table(tmp_path):
-    url = f"sqlite:///{tmp_path}/creak.db"
-    older = open_store(url)
-    with older.write() as connection:
-        tables.jobs.drop(connection)
-    older.close()
-    store = open_store(url)
-    assert shown(store, put(store))["status"] == "queued"
-    store.close()
 
 
 def test_the_command_of_a_task(tmp_path):

@@ -124,7 +124,7 @@ def make_version_1(url):
     feed(sink, RUN, 2)
     sink.take(make_alarm(RUN))
     with store.write() as connection:
-        for table in reversed(operator_tables.ADDED):
+        for table in reversed([*operator_tables.ADDED, tables.jobs]):
             connection.exec_driver_sql(f"DROP TABLE {table.name}")
         connection.exec_driver_sql("ALTER TABLE alarms DROP COLUMN more")
         connection.exec_driver_sql("ALTER TABLE runs DROP COLUMN rules")

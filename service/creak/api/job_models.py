@@ -2,18 +2,14 @@
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from creak.api.models import Answer, Page
 
 
-class DiagnosisRequest(BaseModel):
+class DiagnosisRequest(Answer):
     """What is to be diagnosed: a recording, or an alarm, which stands for the stretch in which it was raised."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"examples": [{"recording": "beam-20260501T080000Z-000"}, {"alarm": "9f3c1b6e"}]},
-    )
     recording: str | None = Field(default=None, max_length=200, description="Id of a recording.")
     alarm: str | None = Field(default=None, max_length=200, description="Id of an alarm.")
     model: str | None = Field(default=None, max_length=4000, description="The rig's model, which is the default.")
@@ -99,3 +95,4 @@ Job.example = {
     "report": None,
     "result": {"rig": "beam", "frames": 60, "rejected_frames": 0, "nodes": []},
 }
+DiagnosisRequest.example = {"alarm": "9f3c1b6e"}
