@@ -160,14 +160,15 @@ def lightly_damped(z):
     return replace(model, damping_ratio=z, stations=stations)
 
 
-def levels(model, rig, transient, keep):
-    """Networked noise and total levels, five realisations of four periods, the same 3 um of noise in all."""
+def levels(model, rig, transient, keep, draw=0):
+    """Networked noise and total, and classical noise; five realisations of four periods, 3 um of noise: the same
+    for the same draw."""
     rig = replace(rig, transient_periods=transient)
     source = SimulatedRig(rig, model, steady_periods=4, rms=0.02, seed=3, realisations=5, substeps=4)
 
     def noise(f):
         kept = f.period - transient if f.period >= transient else 99
-        rng = np.random.default_rng((f.realisation, f.experiment, kept))
+        rng = np.random.default_rng((draw, f.realisation, f.experiment, kept))
         return 3e-6 * rng.standard_normal(f.y.shape)
 
     class Noisy:
@@ -180,18 +181,25 @@ def levels(model, rig, transient, keep):
     monitor = Monitor(feed.run)
     outcomes = [o for frame in feed.frames() for o in monitor.take(frame)]
     last = [o for o in outcomes if getattr(o, "scope", None) is Scope.RUN][-1]
-    return np.array([[node.noise_db, node.total_db] for node in last.nodes])
+    return np.array([[node.noise_db, node.total_db, node.classical_noise_db] for node in last.nodes])
 
 
 def test_the_beam_with_suspension_modes_of_one_per_cent():
-    """Periods of 2 s, first period included: plain averaging is wrong by more than 10 dB, this by less than 1."""
+    """Periods of 2 s, first period included: plain averaging is wrong by more than 10 dB, this by less than 1.
+
+    With the same noise: another draw moves even settled networked levels, which hang on the few lines where
+    ``|G|`` is large, by 1 dB (0.5 to 1.3 dB between six draws), and the classical ones, a sum of equals, by 0.1.
+    """
     rig = replace(load_rig(BEAM / "rig.toml"), period_samples=8192, lines=tuple(range(2, 200)))
     model = lightly_damped(0.01)
     truth = levels(model, rig, 16, lambda source: source)
     plain = levels(model, rig, 0, lambda source: source)
     local = levels(model, rig, 0, SettledSource)
-    assert (plain - truth).min() > 10
-    assert np.abs(local - truth).max() < 1
+    another = levels(model, rig, 16, lambda source: source, draw=1)
+    assert (plain - truth)[:, :2].min() > 10
+    assert np.abs(local - truth)[:, :2].max() < 1
+    assert np.abs(another - truth)[:, :2].max() < 3
+    assert np.abs(another - truth)[:, 2].max() < 0.3
 
 
 def test_incomplete_and_damaged_realisations_are_named_and_the_rest_is_whole():
