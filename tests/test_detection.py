@@ -1,6 +1,7 @@
 """Distortion from the lines left out: which lines they are, what a known nonlinearity puts there, real data."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,14 @@ from hypothesis import strategies as st
 
 from conftest import make_frames, make_rig, make_run
 from creak.cli import run
+from creak.config.model import load_model
+from creak.config.rig import load_rig
 from creak.detection import LineSums, detection_levels, detection_lines
+from creak.mechanics.effects import CubicStiffness, QuadraticStiffness
 from creak.monitor import Monitor
+from creak.multisine import grid_lines
 from creak.records import Estimate, Frame, Scope
+from creak.sources.simulated import SimulatedRig
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 EXAMPLES = Path(__file__).parents[1] / "deploy" / "examples"
@@ -54,6 +60,35 @@ def test_a_square_shows_on_even_lines_and_a_cube_on_odd_ones(rng, noise):
             assert level is None or level < first.noise_db
         assert abs(first.noise_db - 10 * np.log10(noise**2 / (512 * 4))) < 0.3
     assert abs(first.excited_db - last(outcomes).nodes[0].signal_db + 10 * np.log10(len(rig.lines))) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("spring", "loud", "quiet"),
+    [
+        (CubicStiffness(("3", "ground"), 1e8), "odd_db", "even_db"),
+        (QuadraticStiffness(("3", "ground"), 3e5), "even_db", "odd_db"),
+        (None, None, "odd_db"),
+    ],
+)
+def test_springs_of_a_simulated_structure_show_at_lines_of_their_parity(spring, loud, quiet):
+    """Three masses on a random-odd grid, one realisation. Kills a grid whose excited lines are not all odd, a
+    simulator that makes even lines of its own, and a transient that fills the lines left out."""
+    example = EXAMPLES / "three-mass"
+    rig, model = load_rig(example / "rig.toml"), load_model(example / "model-linear.toml")
+    lines = grid_lines("random-odd", (5.0, 100.0), rig.sample_rate, rig.period_samples)
+    rig = replace(rig, lines=lines, transient_periods=4)
+    model = replace(model, effects=(spring,) if spring else ())
+    source = SimulatedRig(rig, model, steady_periods=2, rms=50.0, seed=1, snr_db=60.0, realisations=1)
+    monitor = Monitor(source.run)
+    levels = last([o for frame in source.frames() for o in monitor.take(frame)]).detection
+    assert [level.name for level in levels] == ["1", "2", "3"]
+    for level in levels:
+        silent = getattr(level, quiet)
+        if loud is not None:
+            assert getattr(level, loud) > level.noise_db + 30
+            assert silent is None or silent < getattr(level, loud) - 15
+        else:
+            assert all(found is None or found < level.noise_db for found in (level.odd_db, level.even_db))
 
 
 @given(st.integers(1, 4), st.integers(1, 4), st.integers(0, 2**31))

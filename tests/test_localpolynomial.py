@@ -18,6 +18,7 @@ from creak.config.model import load_model
 from creak.config.rig import load_rig
 from creak.errors import MeasurementError
 from creak.localpolynomial import settled
+from creak.mechanics.system import assemble
 from creak.monitor import Monitor
 from creak.network import estimate
 from creak.records import Fault, FaultKind, Scope
@@ -82,6 +83,44 @@ def test_scatter_and_mean_have_the_same_noise(P):
     assert 1.0 < np.mean(within) / np.mean(plain) < 1.2
 
 
+@pytest.mark.parametrize("snr_db", [40.0, 60.0])
+def test_levels_of_a_settled_record_are_the_exact_ones_but_for_the_transients_uncertainty(snr_db):
+    """Three masses, linear, white sensor noise of a known variance: the noise of a node's residual is that
+    variance times 1 + |G|^2. Plain levels lie there, these 0.39 dB higher: 1 + 9/4 / 24, what a parabola through
+    24 lines adds at their middle. Kills a wrong degree of freedom or a rational fit that pays for noise.
+    """
+    rng = np.random.default_rng(3)
+    P, samples, lines = 4, 2048, tuple(range(8, 160))
+    example = Path(__file__).parents[1] / "deploy" / "examples" / "three-mass"
+    rig = replace(load_rig(example / "rig.toml"), period_samples=samples, lines=lines, transient_periods=0)
+    rig = replace(rig, sample_rate=rig.sample_rate / 4, network=None)
+    S = assemble(load_model(example / "model-linear.toml"), rig).response(rig.frequencies)
+    Z = np.linalg.inv(S)
+    G = Z / np.einsum("fii->fi", Z)[:, :, None]  # 1 on the diagonal: the node's own noise
+    turn = np.exp(-2j * np.pi * np.outer(np.arange(3), np.arange(3)) / 3)
+    above = []
+    for _ in range(6):
+        sums = {"plain": [], "local": []}
+        for _ in range(5):
+            U = np.exp(2j * np.pi * rng.random((len(lines), 3)))[None] * turn[:, None, :]
+            full = np.zeros((3, 6, samples // 2 + 1), dtype=complex)
+            full[:, :3, lines] = U.swapaxes(1, 2)
+            full[:, 3:, lines] = np.einsum("fij,cfj->cif", S, U)
+            records = np.tile(np.fft.irfft(full * samples, n=samples), P)
+            sigma = np.sqrt((records[:, 3:] ** 2).mean()) * 10 ** (-snr_db / 20)
+            records[:, 3:] += sigma * rng.standard_normal(records[:, 3:].shape)
+            plain = np.fft.rfft(records.reshape(3, 6, P, samples))[..., lines].transpose(0, 2, 3, 1) / samples
+            sums["plain"].append(Sums.of(plain, 3))
+            sums["local"].append(Sums.of(settled(records, P, lines), 3))
+        exact = 10 * np.log10((np.abs(G) ** 2).sum(axis=(0, 2)) * sigma**2 / samples)
+        got = {name: estimate(rig, reduce(add, each), Scope.RUN, 0, 2) for name, each in sums.items()}
+        levels = {name: np.array([node.noise_db for node in one.nodes]) for name, one in got.items()}
+        above.append([levels["plain"] - exact, levels["local"] - exact])
+    plain, local = np.mean(above, axis=0)  # of six recordings: a level spreads by 0.2 dB, the mean by 0.08
+    np.testing.assert_allclose(plain, 0.0, atol=0.33)
+    np.testing.assert_allclose(local - plain, 10 * np.log10(1 + 9 / 4 / 24), atol=0.1)
+
+
 def test_p_values_stay_uniform_with_a_transient():
     """120 linear recordings of a chain with noise, P = 3, that begin with ringing modes."""
     rng = np.random.default_rng(3)
@@ -121,14 +160,15 @@ def lightly_damped(z):
     return replace(model, damping_ratio=z, stations=stations)
 
 
-def levels(model, rig, transient, keep):
-    """Networked noise and total levels, five realisations of four periods, the same 3 um of noise in all."""
+def levels(model, rig, transient, keep, draw=0):
+    """Networked noise and total, and classical noise; five realisations of four periods, 3 um of noise: the same
+    for the same draw."""
     rig = replace(rig, transient_periods=transient)
     source = SimulatedRig(rig, model, steady_periods=4, rms=0.02, seed=3, realisations=5, substeps=4)
 
     def noise(f):
         kept = f.period - transient if f.period >= transient else 99
-        rng = np.random.default_rng((f.realisation, f.experiment, kept))
+        rng = np.random.default_rng((draw, f.realisation, f.experiment, kept))
         return 3e-6 * rng.standard_normal(f.y.shape)
 
     class Noisy:
@@ -141,18 +181,25 @@ def levels(model, rig, transient, keep):
     monitor = Monitor(feed.run)
     outcomes = [o for frame in feed.frames() for o in monitor.take(frame)]
     last = [o for o in outcomes if getattr(o, "scope", None) is Scope.RUN][-1]
-    return np.array([[node.noise_db, node.total_db] for node in last.nodes])
+    return np.array([[node.noise_db, node.total_db, node.classical_noise_db] for node in last.nodes])
 
 
 def test_the_beam_with_suspension_modes_of_one_per_cent():
-    """Periods of 2 s, first period included: plain averaging is wrong by more than 10 dB, this by less than 1."""
+    """Periods of 2 s, first period included: plain averaging is wrong by more than 10 dB, this by less than 1.
+
+    With the same noise: another draw moves even settled networked levels, which hang on the few lines where
+    ``|G|`` is large, by 1 dB (0.5 to 1.3 dB between six draws), and the classical ones, a sum of equals, by 0.1.
+    """
     rig = replace(load_rig(BEAM / "rig.toml"), period_samples=8192, lines=tuple(range(2, 200)))
     model = lightly_damped(0.01)
     truth = levels(model, rig, 16, lambda source: source)
     plain = levels(model, rig, 0, lambda source: source)
     local = levels(model, rig, 0, SettledSource)
-    assert (plain - truth).min() > 10
-    assert np.abs(local - truth).max() < 1
+    another = levels(model, rig, 16, lambda source: source, draw=1)
+    assert (plain - truth)[:, :2].min() > 10
+    assert np.abs(local - truth)[:, :2].max() < 1
+    assert np.abs(another - truth)[:, :2].max() < 3
+    assert np.abs(another - truth)[:, 2].max() < 0.3
 
 
 def test_incomplete_and_damaged_realisations_are_named_and_the_rest_is_whole():

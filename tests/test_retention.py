@@ -128,6 +128,7 @@ def make_version_1(url):
             connection.exec_driver_sql(f"DROP TABLE {table.name}")
         connection.exec_driver_sql("ALTER TABLE alarms DROP COLUMN more")
         connection.exec_driver_sql("ALTER TABLE runs DROP COLUMN rules")
+        connection.exec_driver_sql("ALTER TABLE estimates DROP COLUMN more")
         connection.execute(sa.update(tables.schema).values(version=1))
     store.close()
 
@@ -162,6 +163,9 @@ def test_older_database_is_brought_up_with_all_that_is_in_it(url, tmp_path):
         assert (alarm["state"], alarm["version"], len(alarm["changes"])) == ("unacknowledged", 0, 1)
         assert of_change(queries.alarm_change(connection, alarm["id"])).facts.active
         assert queries.alarm_rules(queries.current_run(connection, "beam")) == AlarmRules()
+        assert (
+            queries.nodes(connection, queries.current_run(connection, "beam"), Scope.RUN)[0]["detection"] is None
+        )
     assert times(store) == [0, 1]
     fresh = open_store(f"sqlite:///{tmp_path}/fresh.db")
     assert columns(store) == columns(fresh)

@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 from conftest import make_rig
 from creak.codec import alarm_json, element_json, node_json, spectrum_json
 from creak.errors import StorageError
+from creak.findings import DetectionLevel
 from creak.monitor import Monitor
-from creak.records import AlarmState, Counts, FaultKind, Frame, Node, NodeLevel, RunEnd, RunStatus, Scope
+from creak.records import AlarmState, Counts, Fault, FaultKind, Frame, Node, NodeLevel, RunEnd, RunStatus, Scope
 from creak.sinks import queries, tables
 from creak.sinks.database import open_store
 from creak.sinks.store import RecordingEntry, put_recording
@@ -105,6 +106,24 @@ def test_estimate_comes_out_as_it_went_in(tmp_path_factory, made):
         found = queries.elements(connection, row, estimate.scope)["items"]
         assert found == [element_json(element) for element in estimate.elements]
     store.close()
+
+
+def test_what_the_data_say_of_themselves_is_told(store):
+    """Kills detection lines, remarks and flaws that stand in a replay only; a flaw that later faults push out."""
+    run = make_run()
+    levels = tuple(DetectionLevel(name, -70.0, -90.0, None, -120.0) for name in "213")
+    sink = opened(store, run)
+    sink.take(Fault(FaultKind.STUCK, 1, "realisation 0: response 2 does not move", 0))
+    for late in range(30):
+        sink.take(Fault(FaultKind.LOST, 2 + late, "gone"))
+    sink.take(replace(make_estimate(run, 0), detection=levels, remarks=("an edge is missing",)))
+    with store.read() as connection:
+        row = queries.current_run(connection, run.rig.name)
+        shown = [node["detection"] for node in queries.nodes(connection, row, Scope.WINDOW)]
+        assert shown == [{"excited_db": -70.0, "odd_db": -90.0, "even_db": None, "noise_db": -120.0}] * 3
+        assert queries.elements(connection, row, Scope.WINDOW)["remarks"] == ["an edge is missing"]
+        (flaw,) = queries.rig(connection, run.rig.name)["quality"]
+    assert flaw == {"kind": "stuck", "message": "realisation 0: response 2 does not move", "findings": 1}
 
 
 def test_spectra_of_before_there_were_p_values_are_still_read(store):

@@ -235,17 +235,17 @@ class Monitor:
 
     def _complete(self, realisation: Realisation) -> list[Outcome]:
         rig = self.run.rig
-        flaws = self._note(*self._watch.judge(realisation))
+        flaws = self._watch.judge(realisation)
+        told = self._note(*(flaw.fault for flaw in flaws))
         block = Block.of(realisation, rig.q)
         self._blocks.append(block)
         self._whole = block if self._whole is None else self._whole + block
         window = judged(rig, reduce(add, self._blocks), Scope.WINDOW, realisation)
         whole = judged(rig, self._whole, Scope.RUN, realisation)
         self._time = max(self._time, realisation.end)
-        self._quality, changes = quality.closed(
-            self._quality, self.run, realisation.end, len(self._blocks), realisation.spectra
-        )
-        outcomes: list[Outcome] = [*flaws, window, whole, *changes]
+        poor = {(flaw.fault.kind, node) for flaw in flaws for node in flaw.nodes}
+        self._quality, changes = quality.closed(self._quality, self.run, realisation.end, len(self._blocks), poor)
+        outcomes: list[Outcome] = [*told, window, whole, *changes]
         rms = self._operating_state()
         for level in window.nodes:
             verdicts = {} if rms is None else self._compare(level, rms, realisation)
@@ -285,7 +285,7 @@ class Monitor:
         known = {"", *self._alarms}
         kept = {key: alarm for key, alarm in memory.quality.alarms.items() if key[1] in known}
         # deadlines count from the new run's first frame: that nobody watched meanwhile is no fault of the rig
-        self._quality = replace(memory.quality, alarms=kept, heard=None, completed=None, clipped=frozenset())
+        self._quality = replace(memory.quality, alarms=kept, heard=None, completed=None)
         first = run.window if memory.run != run.id else 0
         self._baselines = tuple(
             replace(b, next_realisation=max(first, 0 if memory.run != run.id else b.next_realisation))

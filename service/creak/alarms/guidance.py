@@ -17,8 +17,8 @@ GUIDANCE = {
         "Frames are lost or refused, and their realisations are left out. Check cabling, bus load and clock."
     ),
     "clipped_sensor": (
-        "The sensor sits at one extreme value for many samples: it clips or is stuck. Check its range, its supply "
-        "and its fixing; the levels of this node cannot be trusted."
+        "The sensor sits at a limit for many samples or does not move: it clips or is stuck. Check its range, its "
+        "supply and its fixing; the levels of this node cannot be trusted."
     ),
     "too_few_realisations": (
         "Too few realisations are complete for a level to be tested. Look at the faults of the run."

@@ -50,6 +50,14 @@ class Fault(Answer):
     period: int | None
 
 
+class Flaw(Answer):
+    """What is wrong with frames that are whole and finite; they count all the same."""
+
+    kind: str
+    message: str = Field(description="The newest finding; empty if it is no longer kept.")
+    findings: int = Field(description="How many there were: at most one a realisation, or a channel of it.")
+
+
 class RigDetail(RigSummary):
     """All that is known of a rig."""
 
@@ -62,6 +70,7 @@ class RigDetail(RigSummary):
     window: int = Field(description="Realisations over which the levels of scope `window` are taken.")
     lines: int = Field(description="Number of excited lines.")
     recent_faults: list[Fault] = Field(description="The newest faults, newest first.")
+    quality: list[Flaw] = Field(description="Flaws of the data, by kind.")
 
 
 class Levels(Answer):
@@ -79,6 +88,15 @@ class Levels(Answer):
     classical_total_db: Decibels
 
 
+class Detection(Answer):
+    """Mean power of a line, dB re 1 unit squared, noise taken off: excited, and odd and even ones left out."""
+
+    excited_db: Decibels
+    odd_db: Decibels
+    even_db: Decibels
+    noise_db: Decibels
+
+
 class Node(Levels):
     """A node as it stands."""
 
@@ -89,6 +107,7 @@ class Node(Levels):
     realisations: int = Field(description="Realisations behind the levels.")
     input: str | None = Field(description="Unit of the input; null where the node is not driven.")
     output: str = Field(description="Unit of the response.")
+    detection: Detection | None = Field(description="Null where the grid leaves no lines to tell odd from even.")
 
 
 class Moment(Levels):
@@ -215,6 +234,7 @@ class ElementPage(Page):
     scope: Scope
     located: bool
     unavailable: list[str] = Field(description="What the data do not carry, and why.")
+    remarks: list[str] = Field(description="What else the data say about their own use.")
     time: str | None
 
 
@@ -339,6 +359,7 @@ _ALARM = {
 _ABOUT = {"rig": "beam", "scope": "window", "time": "2026-05-01T08:14:24.000000Z"}
 
 Node.example = {**_LEVELS, "alarm": "unacknowledged", **_ABOUT, "realisations": 4, "input": "A", "output": "m/s^2"}
+Node.example["detection"] = {"excited_db": -74.2, "odd_db": -101.3, "even_db": None, "noise_db": -120.4}
 RigPage.example = {"items": [_SUMMARY], "next": None}
 RigDetail.example = {
     **_SUMMARY,
@@ -351,6 +372,7 @@ RigDetail.example = {
     "window": 4,
     "lines": 2000,
     "recent_faults": [_FAULT],
+    "quality": [{"kind": "stuck", "message": "realisation 3: response 2 does not change ...", "findings": 1}],
 }
 NodePage.example = {"items": [Node.example], "next": None}
 ElementPage.example = {
@@ -359,6 +381,7 @@ ElementPage.example = {
     **_ABOUT,
     "located": True,
     "unavailable": [],
+    "remarks": [],
 }
 HistoryPage.example = {
     "items": [{**_LEVELS, "run": _SUMMARY["run"], "scope": "window", "realisation": 11, "time": _ABOUT["time"]}],

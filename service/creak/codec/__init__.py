@@ -2,6 +2,7 @@
 
 from creak.codec.json_face import (
     alarm_json,
+    detection_json,
     element_json,
     fault_json,
     node_json,
@@ -50,6 +51,7 @@ __all__ = [
     "decode",
     "decode_closing",
     "decode_opening",
+    "detection_json",
     "element_json",
     "encode",
     "fault_json",

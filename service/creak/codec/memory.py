@@ -30,7 +30,7 @@ _RECORDS: Mapping[str, type[Any]] = {
     for kind in (Memory, NodeAlarm, Watch, Alarm, Facts, Quality, Baseline, Trend, Sums, Block, LineSums)
 }
 _ENUMS: Mapping[str, type[Enum]] = {kind.__name__: kind for kind in (Verdict,)}
-_FORMAT = 1
+_FORMAT = 2
 
 
 def memory_bytes(memory: Memory) -> bytes:

@@ -18,6 +18,8 @@ _FEWEST_LINES = 5
 _CORRELATED = 0.5  # mean -ln(1 - coherence^2) of an element's force with the others', beyond which none is sure
 _LARGEST_PART = 5  # vertices of a part whose spanning trees (125) are compared
 _MOST_NODES_FOR_PAIRS = 10
+_MOST_ELEMENTS = 8  # beyond which the search stops: where all that moves distorts, a longer list tells nothing
+_SWEEPS = 4  # of exchanges after each new element; so the search asks at most 150 times what a place explains
 
 
 def locate(rig: Rig, sums: Sums) -> tuple[ElementShare, ...]:
@@ -33,7 +35,8 @@ def locate(rig: Rig, sums: Sums) -> tuple[ElementShare, ...]:
     Returns
     -------
     tuple of ElementShare
-        In falling share of the noise-corrected power of the missing force; empty if none is significant.
+        In falling share of the noise-corrected power of the missing force; empty if none is significant. At most
+        eight: what more there are make the sum of the shares fall short of 1.
 
     Raises
     ------
@@ -65,7 +68,7 @@ def locate(rig: Rig, sums: Sums) -> tuple[ElementShare, ...]:
 def _smallest_set(evidence: Evidence) -> tuple[Edge, ...]:
     """Add the strongest place until noise is left, exchanging earlier choices; then try with fewer."""
     edges: tuple[Edge, ...] = ()
-    while len(edges) < evidence.nodes:
+    while len(edges) < min(evidence.nodes, _MOST_ELEMENTS):
         more = _strongest(evidence.without(edges))
         if more is None:
             break
@@ -96,7 +99,7 @@ def _pooled(rest: Evidence, gains: Real) -> float:
 
 def _exchanged(evidence: Evidence, edges: tuple[Edge, ...]) -> tuple[Edge, ...]:
     """Replace one element at a time by the place that explains most beside the others, until none is better."""
-    for _ in range(2 * len(edges)):
+    for _ in range(_SWEEPS):
         before = edges
         for edge in before:
             others = tuple(other for other in edges if other != edge)

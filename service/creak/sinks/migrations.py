@@ -15,7 +15,13 @@ def _to_2(connection: sa.Connection) -> None:
         connection.exec_driver_sql(f"ALTER TABLE {table} ADD COLUMN {column} {kind}")
 
 
-STEPS: Mapping[int, Callable[[sa.Connection], None]] = {2: _to_2}
+def _to_3(connection: sa.Connection) -> None:
+    """Estimates keep what detection lines and remarks say."""
+    kind = tables.estimates.c.more.type.compile(connection.dialect)
+    connection.exec_driver_sql(f"ALTER TABLE estimates ADD COLUMN more {kind}")
+
+
+STEPS: Mapping[int, Callable[[sa.Connection], None]] = {2: _to_2, 3: _to_3}
 """Version to the step that reaches it from the one before."""
 
 

@@ -15,6 +15,7 @@ import sqlalchemy as sa
 
 from creak.alarm_records import AlarmRules
 from creak.codec import alarm_json, fault_json, node_json, spectrum_json, time_json
+from creak.quality import FLAWS
 from creak.records import AlarmChange, AlarmState, Estimate, Fault, FaultKind, NodeLevel, Scope, Spectra
 from creak.sinks import tables
 from creak.sinks.alarm_rows import change_of
@@ -61,6 +62,7 @@ def rig(connection: sa.Connection, name: str) -> Json | None:
         "window": row["window"],
         "lines": row["lines"],
         "recent_faults": _recent_faults(connection, row["id"]),
+        "quality": _quality(connection, row),
     }
 
 
@@ -84,6 +86,7 @@ def nodes(connection: sa.Connection, run: Row, scope: Scope) -> list[Json]:
     if estimate is not None:
         query = sa.select(tables.levels).where(tables.levels.c.estimate == estimate["id"])
         found = {row["name"]: row for row in connection.execute(query).mappings()}
+    said = {level["name"]: level for level in _more(estimate).get("detection", [])}
     about = {
         "rig": run["rig"],
         "scope": scope.value,
@@ -94,7 +97,9 @@ def nodes(connection: sa.Connection, run: Row, scope: Scope) -> list[Json]:
     for node in run["nodes"]:
         name, state = node["name"], states.get(node["name"], AlarmState.NORMAL)
         level = _level(found[name]) if name in found else _no_level(name)
-        items.append({**node_json(level, state), **about, "input": node["input"], "output": node["output"]})
+        detection = {key: value for key, value in said.get(name, {}).items() if key != "name"} or None
+        units = {"input": node["input"], "output": node["output"]}
+        items.append({**node_json(level, state), **about, **units, "detection": detection})
     return items
 
 
@@ -145,6 +150,7 @@ def elements(connection: sa.Connection, run: Row, scope: Scope) -> Json:
         "scope": scope.value,
         "located": row is not None and row["located"],
         "unavailable": [] if row is None else row["unavailable"],
+        "remarks": _more(row).get("remarks", []),
         "time": None if row is None else time_json(row["time"]),
     }
 
@@ -317,6 +323,23 @@ def _recent_faults(connection: sa.Connection, run: str, count: int = 20) -> list
         fault_json(Fault(**{**{name: row[name] for name in _FAULT}, "kind": FaultKind(row["kind"])}))
         for row in connection.execute(query).mappings()
     ]
+
+
+def _quality(connection: sa.Connection, run: Row) -> list[Json]:
+    """Return what is wrong with frames that count all the same: the newest message and how often, by kind."""
+    table = tables.faults
+    items = []
+    for kind in sorted(FLAWS):
+        if run["faults"].get(kind.value):
+            query = sa.select(table.c.message).where(table.c.run == run["id"], table.c.kind == kind.value)
+            message = connection.execute(query.order_by(table.c.id.desc()).limit(1)).scalar()
+            items.append({"kind": kind.value, "message": message or "", "findings": run["faults"][kind.value]})
+    return items
+
+
+def _more(estimate: Row | None) -> Json:
+    """Return what an estimate says without a column of its own; nothing of one from before it was kept."""
+    return {} if estimate is None else estimate["more"] or {}
 
 
 def _moment(row: Row) -> Json:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
-from creak.codec import element_json, fault_json, memory_of, node_json, time_json
+from creak.codec import detection_json, element_json, fault_json, memory_of, node_json, time_json
 from creak.config.rig import rig_toml
 from creak.records import (
     AlarmChange,
@@ -225,6 +225,10 @@ class StoreSink:
                     located=estimate.located,
                     elements=[element_json(element) for element in estimate.elements],
                     unavailable=list(estimate.unavailable),
+                    more={
+                        "detection": [detection_json(level) for level in estimate.detection],
+                        "remarks": list(estimate.remarks),
+                    },
                 )
             ).inserted_primary_key
             number = int(key[0]) if key is not None else 0

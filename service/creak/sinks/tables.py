@@ -6,7 +6,7 @@ the Unix epoch, but for the columns named ``*_at``, which are wall-clock nanosec
 
 import sqlalchemy as sa
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Version of these tables; a database of a newer one is refused."""
 
 metadata = sa.MetaData()
@@ -84,6 +84,7 @@ estimates = sa.Table(
     sa.Column("located", sa.Boolean, nullable=False),
     sa.Column("elements", sa.JSON, nullable=False),
     sa.Column("unavailable", sa.JSON, nullable=False),
+    sa.Column("more", sa.JSON),  # detection and remarks, as they are shown; since version 3
     sa.Index("estimates_newest", "run", "scope", "id"),
     sqlite_autoincrement=True,
 )

@@ -1,30 +1,10 @@
-"""Data quality before statistics: what is wrong with frames that are whole and finite.
-
-Each check is a pure function that says what it found and how large it is, with its rule in its docstring;
-:class:`Watch` collects what they need from the frames of a realisation and turns the findings into faults. A
-finding flags the data; it does not keep them out of the sums, since only a person can say whether levels with a
-known flaw are better than none.
-"""
+"""Flaws of one signal or of one realisation's spectra: pure functions, each with its rule in its docstring."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from creak.multisine import realisation as multisine
-from creak.realisations import Realisation, spectrum
-from creak.records import Complex, Fault, FaultKind, Frame, FrameStatus, Real, Run
-
-FLAWS = frozenset(
-    {
-        FaultKind.TRANSIENT,
-        FaultKind.DRIFT,
-        FaultKind.CLIPPED,
-        FaultKind.STUCK,
-        FaultKind.WRONG_INPUT,
-        FaultKind.NOT_ORTHOGONAL,
-    }
-)
-"""Kinds of faults that flag data which enter the sums all the same."""
+from creak.records import Complex, Real
 
 
 @dataclass(frozen=True)
@@ -249,127 +229,6 @@ def orthogonality_loss_db(U: Complex) -> float:
     scaled = U / np.sqrt((np.abs(U) ** 2).mean(axis=2, keepdims=True))
     inverse = np.linalg.inv(scaled @ scaled.conj().swapaxes(1, 2) / q)
     return float(10 * np.log10(np.median(np.einsum("fii->fi", inverse).real.mean(axis=1))))
-
-
-class Watch:
-    """Gathers from the frames of a realisation what its checks need; memory does not grow with frames.
-
-    Parameters
-    ----------
-    run : Run
-    """
-
-    def __init__(self, run: Run) -> None:
-        self._run = run
-        rig = run.rig
-        driven = [f"input {rig.nodes[i].name}" for i in rig.driven]
-        self._channels = (*driven, *(f"response {node.name}" for node in rig.nodes))
-        self._index = -1
-        self._begin(-1)
-
-    def _begin(self, index: int) -> None:
-        self._index = index
-        self._discarded: dict[int, Complex] = {}
-        self._clipped: dict[int, list[Clipping]] = {}
-        self._held: dict[int, int] = {}
-
-    def take(self, frame: Frame) -> None:
-        """Look at a frame as the collector judged it; refused ones are passed over."""
-        if frame.status is FrameStatus.REJECTED:
-            return
-        rig = self._run.rig
-        if frame.realisation != self._index:
-            self._begin(frame.realisation)
-        if (frame.u.shape, frame.y.shape) != ((rig.q, rig.period_samples), (rig.n, rig.period_samples)):
-            return
-        if frame.status is FrameStatus.TRANSIENT:
-            if frame.period == rig.transient_periods - 1 and np.isfinite(frame.y).all():
-                self._discarded[frame.experiment] = spectrum(rig, frame.u, frame.y)[:, rig.q :]
-            return
-        for channel, x in enumerate((*frame.u, *frame.y)):
-            hold = longest_hold(x)
-            found = clipping(x)
-            if found is not None:
-                self._clipped.setdefault(channel, []).append(found)
-            elif hold > rig.period_samples / 8 and (channel >= rig.q or x.any()):
-                # An input may be at rest in an experiment that drives the others.
-                self._held[channel] = max(hold, self._held.get(channel, 0))
-
-    def judge(self, realisation: Realisation) -> tuple[Fault, ...]:
-        """Give the findings about a complete realisation, whose frames were all taken."""
-        if realisation.index != self._index:
-            self._begin(realisation.index)
-        findings = [
-            *self._pinned(),
-            *self._wrong_inputs(realisation),
-            *self._not_orthogonal(realisation),
-            *self._not_periodic(realisation),
-        ]
-        self._begin(-1)
-        return tuple(
-            Fault(kind, realisation.end, f"realisation {realisation.index}: {text}", realisation.index)
-            for kind, text in findings
-        )
-
-    def _pinned(self) -> list[tuple[FaultKind, str]]:
-        findings = []
-        frames = self._run.rig.q * self._run.steady_periods
-        for channel, found in sorted(self._clipped.items()):
-            worst = max(found, key=lambda one: one.share)
-            findings.append(
-                (
-                    FaultKind.CLIPPED,
-                    f"{self._channels[channel]} is clipped at {worst.limit:.4g} in {len(found)} of {frames} "
-                    f"periods, up to {100 * worst.share:.2g} % of the samples",
-                )
-            )
-        for channel, hold in sorted(self._held.items()):
-            findings.append(
-                (FaultKind.STUCK, f"{self._channels[channel]} does not change for {hold} samples of a period")
-            )
-        return findings
-
-    def _wrong_inputs(self, realisation: Realisation) -> list[tuple[FaultKind, str]]:
-        run, rig = self._run, self._run.rig
-        plan = run.excitation
-        if plan.kind != "multisine" or plan.rms is None or plan.seed is None:
-            return []
-        planned = np.fft.rfft(multisine(rig, plan.rms, plan.seed, realisation.index))[..., list(rig.lines)]
-        planned /= rig.period_samples
-        U = realisation.spectra[..., : rig.q].mean(axis=1).swapaxes(1, 2)  # (experiment, input, F)
-        wrong = wrong_inputs(U, planned, rig.lines, rig.period_samples, self._channels)
-        return [(FaultKind.WRONG_INPUT, wrong)] if wrong else []
-
-    def _not_orthogonal(self, realisation: Realisation) -> list[tuple[FaultKind, str]]:
-        q = self._run.rig.q
-        loss = orthogonality_loss_db(realisation.spectra[..., :q].mean(axis=1).transpose(1, 2, 0))
-        if not loss > 1.0:
-            return []
-        text = f"the experiments are not orthogonal; the response matrix has {loss:.1f} dB more noise for it"
-        return [(FaultKind.NOT_ORTHOGONAL, text)]
-
-    def _not_periodic(self, realisation: Realisation) -> list[tuple[FaultKind, str]]:
-        rig = self._run.rig
-        drift = period_drift(realisation.spectra, rig.lines, rig.period_samples)
-        if drift is not None:
-            text = f"{drift.described(rig.period_samples)}: that explains {100 * drift.share:.0f} % of the change"
-            return [(FaultKind.DRIFT, f"{text} from period to period")]
-        periods = realisation.spectra[..., rig.q :]
-        if len(self._discarded) == rig.q:
-            before = np.stack([self._discarded[c] for c in range(rig.q)])
-            periods = np.concatenate((before[:, None], periods), axis=1)
-        if periods.shape[1] < 3:
-            return []
-        shares = [transient_share(periods[..., i]) for i in range(rig.n)]
-        known = [share or 0.0 for share in shares]
-        worst = int(np.argmax(known))
-        if not known[worst]:
-            return []
-        text = (
-            "the transient, or a drift, has not died out in the first kept period: "
-            f"{10 * np.log10(known[worst]):.1f} dB of the response at node {rig.nodes[worst].name}"
-        )
-        return [(FaultKind.TRANSIENT, text)]
 
 
 def wrong_inputs(
