@@ -2,12 +2,12 @@
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from creak.api.models import Answer, Page
 
 
-class DiagnosisRequest(BaseModel):
+class DiagnosisRequest(Answer):
     """What is to be diagnosed: a recording, or an alarm, which stands for the stretch in which it was raised."""
 
     model_config = ConfigDict(
@@ -22,6 +22,9 @@ class DiagnosisRequest(BaseModel):
     )
     first_realisation: int | None = Field(default=None, ge=0, description="First that counts, from 0.")
     last_realisation: int | None = Field(default=None, ge=0, description="Last that counts.")
+
+
+DiagnosisRequest.example = {"alarm": "9f3c1b6e"}
 
 
 class JobSummary(Answer):
