@@ -3,7 +3,7 @@
 Phases: reads alone; then with a receiver of webhooks that never answers and a client of the event stream that
 never reads; then with the store locked by another program as well. Latency counts from the moment at which a
 request was due, so a service that falls behind cannot hide it. ``timer_p99_ms`` is how late the client's own timer
-was: on a machine that is busy with other things it says how much of the latency is theirs.
+was: latency that the measurement itself adds. A busy machine adds more to the service, which computes.
 """
 
 import argparse

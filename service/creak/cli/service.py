@@ -5,7 +5,6 @@ import ipaddress
 import logging
 import signal
 import socket
-import sys
 import time
 import uuid
 from collections.abc import Sequence
@@ -57,7 +56,6 @@ from creak.worker import Worker
 _log = logging.getLogger(__name__)
 
 _STOP_SECONDS = 2.5
-_SWITCH_SECONDS = 0.0005  # a request changes threads a few times, and waited 5 ms each time while rigs computed
 
 _DEMO_HEALTHY = 5  # realisations before the spring appears
 _DEMO_QUICK = 10  # realisations that are played quickly, as the rig's past; then it goes on in real time
@@ -244,7 +242,6 @@ def _run(
     except OSError as error:
         raise StorageError(f"{settings.data}: cannot be made: {error.strerror}") from None
     signal.signal(signal.SIGTERM, _interrupt)
-    sys.setswitchinterval(_SWITCH_SECONDS)
     store = open_store(settings.store_url, source="configuration", key="store.url")
     limits = settings.recording
     recorders = [
