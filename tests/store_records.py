@@ -1,8 +1,13 @@
 """Records such as a worker hands to the store, made without measuring anything."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from conftest import make_rig
+from creak.baseline import Baseline
+from creak.codec import memory_bytes
+from creak.monitor import Monitor
 from creak.records import (
     AlarmChange,
     AlarmState,
@@ -19,6 +24,7 @@ from creak.records import (
     Spectra,
 )
 from creak.sinks.store import RecordingEntry, StoreSink, put_recording
+from creak.trend import Trend
 
 START = 1_777_622_400_000_000_000  # 2026-05-01T08:00:00Z
 SECOND = 1_000_000_000
@@ -138,13 +144,15 @@ BEAM = make_run("beam-1")
 
 
 def fill_beam(store):
-    """Two rigs: the beam, measured, with an alarm, a fault and a recording; and a bench that has just begun."""
+    """Two rigs: the beam, measured, with an alarm, a fault, a recording and a baseline; and a bench just begun."""
     sink = opened(store, BEAM)
     feed(sink, BEAM, 6)
     feed(sink, BEAM, 2, first=6, ratio=12.0)
     sink.take(make_alarm(BEAM, since=START + 8 * SECOND))
     sink.take(make_fault())
     sink.tick(1.0)
+    learnt = Baseline("3", 0.02, 1e-9, Trend(25, 6.1, 4.0), realisations=100, complete=True, since=START)
+    sink.save(START + 8 * SECOND, memory_bytes(replace(Monitor(BEAM).memory, baselines=(learnt,))))
     put_recording(
         store, RecordingEntry("beam-1-000", "beam", "beam-1", "var/beam.mcap", START, None, "writing", 4096)
     )

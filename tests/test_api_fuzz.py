@@ -4,7 +4,7 @@ from bench.bench_fuzz import measure
 
 
 def test_no_failure_of_ours_and_no_undocumented_answer():
-    result = measure(130)
+    result = measure(80)
     assert result["failures"] == []
-    assert result["requests"] > 100
+    assert result["requests"] >= 60
     assert result["operations"] > 20

@@ -342,7 +342,8 @@ for number in range(100_000):
 @pytest.mark.parametrize("lines", [1, 7, 40])
 def test_killed_writer_loses_nothing_it_reported(url, lines):
     """Kills an alarm that was reported as stored but was not, or that is stored without its event."""
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
     command = [sys.executable, "-c", _WRITER, url]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as writer:
         for _ in range(lines):

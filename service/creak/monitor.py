@@ -176,6 +176,8 @@ class Monitor:
         rules, run = self.run.alarms, self.run.id
         for name, node in self._alarms.items():
             if node.alarm.id == action.alarm:
+                if action.kind is ActionKind.RELEARN and all(known.node != name for known in self._baselines):
+                    return Conflict("not_allowed", f"node {name!r} has no baseline that could be replaced")
                 done = alarms.act(node.alarm, action, self._time, rules, run)
                 if isinstance(done, Conflict):
                     return done

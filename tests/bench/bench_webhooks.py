@@ -2,7 +2,8 @@
 
 Each round starts one process that does both on one store, kills it after a random time, and notes which
 changes it had reported as written. At the end a last deliverer empties the outbox; every reported change must have
-arrived, and every id with one body.
+arrived, and every id with one body. What has not arrived is counted by what the outbox says of it: ``pending`` is
+late, not lost; ``failed``, ``delivered`` and ``absent`` (no row) are lost.
 """
 
 import argparse
@@ -18,8 +19,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import sqlalchemy as sa
+
 from creak.sinks import receivers
 from creak.sinks.database import open_store
+from creak.sinks.operator_tables import outbox
 from creak.webhooks.addresses import AddressPolicy
 from creak.webhooks.delivery import Deliverer, DeliveryRules
 from creak.webhooks.schedule import Schedule
@@ -27,6 +31,7 @@ from creak.webhooks.signature import new_secret
 from receiver import receiving
 from store_records import make_alarm, make_run, opened
 
+_QUIET_SECONDS = 60.0  # nothing new for so long: what is missing will not come
 _RULES = DeliveryRules(per_minute=1e6, burst=10**6, storm=10**9, schedule=Schedule(delays=(0.1,) * 50))
 
 
@@ -48,6 +53,17 @@ def _child():
     from bench import bench_webhooks
 
     return bench_webhooks.child
+
+
+def _missing(store, ids):
+    """Count messages that did not arrive by what the outbox says of them."""
+    counts = dict.fromkeys(("pending", "failed", "delivered", "absent"), 0)
+    with store.read() as connection:
+        rows = connection.execute(sa.select(outbox.c.subject, outbox.c.status))
+        status = {row.subject: row.status for row in rows}
+    for each in ids:
+        counts[status.get(each, "absent")] += 1
+    return counts
 
 
 def measure(kills, seed=1):
@@ -75,12 +91,17 @@ def measure(kills, seed=1):
         written = report.read_text().split()
         last = Deliverer(store, AddressPolicy(["127.0.0.0/8"]), _RULES)
         last.start()
-        end = time.monotonic() + 120
-        arrived = set()
-        while time.monotonic() < end and not arrived.issuperset(written):
+        begun = time.monotonic()
+        before_drain = len(server.received)
+        arrived, news = set(), begun
+        while time.monotonic() < news + _QUIET_SECONDS and not arrived.issuperset(written):
             time.sleep(0.1)
-            arrived = {got.json["data"]["id"] for got in list(server.received)}
+            seen = {got.json["data"]["id"] for got in list(server.received)}
+            if len(seen) > len(arrived):
+                arrived, news = seen, time.monotonic()
+        seconds = time.monotonic() - begun
         last.stop()
+        missing = _missing(store, set(written) - arrived)
         bodies = {}
         for got in server.received:
             bodies.setdefault(got.id, set()).add(got.body)
@@ -89,7 +110,10 @@ def measure(kills, seed=1):
             "kills": kills,
             "written": len(written),
             "arrived": len(arrived),
-            "lost": len(set(written) - arrived),
+            "lost": sum(missing.values()) - missing["pending"],
+            **{f"missing_{status}": count for status, count in missing.items()},
+            "drained": len(server.received) - before_drain,
+            "drain_seconds": round(seconds, 1),
             "requests": len(server.received),
             "twice": len(server.received) - len(bodies),
             "ids_of_more_than_one_body": sum(len(each) > 1 for each in bodies.values()),

@@ -2,7 +2,7 @@
 
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from creak.api.models import Answer, Page
 
@@ -10,6 +10,10 @@ from creak.api.models import Answer, Page
 class DiagnosisRequest(Answer):
     """What is to be diagnosed: a recording, or an alarm, which stands for the stretch in which it was raised."""
 
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [{"recording": "beam-20260501T080000Z-000"}, {"alarm": "9f3c1b6e"}]},
+    )
     recording: str | None = Field(default=None, max_length=200, description="Id of a recording.")
     alarm: str | None = Field(default=None, max_length=200, description="Id of an alarm.")
     model: str | None = Field(default=None, max_length=4000, description="The rig's model, which is the default.")
@@ -18,6 +22,9 @@ class DiagnosisRequest(Answer):
     )
     first_realisation: int | None = Field(default=None, ge=0, description="First that counts, from 0.")
     last_realisation: int | None = Field(default=None, ge=0, description="Last that counts.")
+
+
+DiagnosisRequest.example = {"alarm": "9f3c1b6e"}
 
 
 class JobSummary(Answer):
@@ -95,4 +102,3 @@ Job.example = {
     "report": None,
     "result": {"rig": "beam", "frames": 60, "rejected_frames": 0, "nodes": []},
 }
-DiagnosisRequest.example = {"alarm": "9f3c1b6e"}

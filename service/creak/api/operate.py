@@ -91,6 +91,18 @@ async def unshelve(
     return await _act(store, alarm, ActionKind.UNSHELVE, body, response, if_match)
 
 
+@router.post("/{alarm}/relearn", response_model=Alarm, responses=_ANSWERS)
+async def relearn(
+    *, store: StoreOf, alarm: AlarmId, body: ActionBody, response: Response, if_match: IF_MATCH = None
+) -> Json:
+    """Have new baselines learnt of the alarm's node, whose machine was changed on purpose.
+
+    Those in force stay so until the new ones are complete; see `GET /rigs/{rig}/baselines`. A node without a
+    baseline, and an alarm about data, are refused with 409.
+    """
+    return await _act(store, alarm, ActionKind.RELEARN, body, response, if_match)
+
+
 async def _act(
     store: Store,
     identifier: str,
@@ -128,7 +140,7 @@ async def _act(
     def look(asked: str) -> bool:
         with store.read() as connection:
             status, reason = actions.outcome(connection, asked)
-        if status == actions.STALE and of_an_earlier_run():
+        if status == actions.STALE and kind is not ActionKind.RELEARN and of_an_earlier_run():
             begin(orphan=True)  # the monitor that lives now began afresh, and will never know it
             return True
         if status in {actions.STALE, actions.NOT_ALLOWED}:

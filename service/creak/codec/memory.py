@@ -6,7 +6,7 @@ records listed here are ever made from it, so a store that somebody else can wri
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Any
 
@@ -48,19 +48,37 @@ def memory_of(data: bytes) -> Memory:
     RecordingError
         If they are none of this version's; a monitor then begins afresh.
     """
+    memory = _read(data, lambda document: document)
+    if not isinstance(memory, Memory):
+        raise RecordingError("a monitor's state that is none")
+    return memory
+
+
+def baselines_of(data: bytes) -> tuple[Baseline, ...]:
+    """Read the baselines alone from the bytes of a memory; the arrays beside them are not touched.
+
+    Raises
+    ------
+    RecordingError
+        As `memory_of`.
+    """
+    found = _read(data, lambda document: document[2]["baselines"])
+    if not isinstance(found, tuple) or not all(isinstance(item, Baseline) for item in found):
+        raise RecordingError("a monitor's state without baselines")
+    return found
+
+
+def _read(data: bytes, part: Callable[[Any], Any]) -> Any:
     length = int.from_bytes(data[:8], "little")
     try:
         document = json.loads(data[8 : 8 + length])
         if document["format"] != _FORMAT:
             raise RecordingError(f"a monitor's state of format {document['format']}; this creak reads {_FORMAT}")
-        memory = _made(document["memory"], memoryview(data)[8 + length :])
+        return _made(part(document["memory"]), memoryview(data)[8 + length :])
     except RecordingError:
         raise
     except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
         raise RecordingError(f"a monitor's state that cannot be read: {error}") from error
-    if not isinstance(memory, Memory):
-        raise RecordingError("a monitor's state that is none")
-    return memory
 
 
 def _plain(value: Any, arrays: list[bytes]) -> Any:

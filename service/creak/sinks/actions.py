@@ -13,7 +13,7 @@ import sqlalchemy as sa
 
 from creak import alarms
 from creak.alarm_records import Action, ActionKind, AlarmRules, Conflict
-from creak.sinks import tables
+from creak.sinks import baselines, tables
 from creak.sinks.alarm_rows import change_of, put_alarm
 from creak.sinks.operator_tables import actions
 
@@ -127,7 +127,12 @@ def carry_out(connection: sa.Connection, action: Action, rules: AlarmRules, now:
         if change.class_ == "process"
         else True  # of class quality, several conditions of a node have alarms of their own
     )
-    if not same and not change.acknowledged:
+    if action.kind is ActionKind.RELEARN:
+        if change.class_ != "process":
+            return Conflict("not_allowed", "an alarm about data has no baseline")
+        if all(known.node != change.node for known in baselines.saved(connection, change.rig)):
+            return Conflict("not_allowed", f"node {change.node!r} has no baseline that could be replaced")
+    if not same and (not change.acknowledged or action.kind is ActionKind.RELEARN):
         return Conflict("stale", "the occurrence has ended and a newer one has taken its place")
     result = alarms.act(alarms.of_change(change), action, max(now, change.time), rules, row["run"])
     if isinstance(result, Conflict):

@@ -14,7 +14,7 @@ actions = sa.Table(
     sa.Column("id", sa.Text, nullable=False, unique=True),
     sa.Column("rig", sa.Text, nullable=False),
     sa.Column("alarm", sa.Text, nullable=False),
-    sa.Column("kind", sa.String(16), nullable=False),  # acknowledge, shelve, unshelve
+    sa.Column("kind", sa.String(16), nullable=False),  # acknowledge, shelve, unshelve, relearn
     sa.Column("by", sa.Text, nullable=False),
     sa.Column("comment", sa.Text, nullable=False),
     sa.Column("until", sa.BigInteger),  # recorded time, ns; of a shelving

@@ -167,14 +167,13 @@ class Deliverer:
     async def _serve(self, name: str) -> None:
         """Send what is due for one receiver, one message after the other."""
         while not self._stopping.is_set():
-            receiver, message, waiting = await asyncio.to_thread(self._next, name)
+            receiver, message = await asyncio.to_thread(self._next, name)
             if receiver is None or message is None:
                 return
             cap = self._caps.setdefault(name, RateCap(self._rules.per_minute, self._rules.burst))
             pause = cap.take(time.monotonic())
             if pause > 0:
-                if waiting >= self._rules.storm:
-                    await asyncio.to_thread(self._coalesce, receiver)
+                await asyncio.to_thread(self._coalesce, receiver)
                 await asyncio.sleep(min(pause, _TROUBLE_SECONDS))
                 continue
             begun, started = self._clock(), time.monotonic()
@@ -182,15 +181,19 @@ class Deliverer:
             seconds = time.monotonic() - started
             await asyncio.to_thread(self._settle, receiver, message, answer, begun, seconds)
 
-    def _next(self, name: str) -> tuple[Receiver | None, Message | None, int]:
+    def _next(self, name: str) -> tuple[Receiver | None, Message | None]:
         now = self._clock()
         with self._store.read() as connection:
             receiver = receivers.get(connection, name)
             if receiver is None or not receiver.enabled or receiver.paused_until_at > now:
-                return None, None, 0
-            return receiver, outbox.next_due(connection, name, now), outbox.backlog(connection, name)
+                return None, None
+            return receiver, outbox.next_due(connection, name, now)
 
     def _coalesce(self, receiver: Receiver) -> None:
+        """Put together what waits, if it is a storm; counted only here, as a long backlog takes long to count."""
+        with self._store.read() as connection:
+            if outbox.backlog(connection, receiver.id) < self._rules.storm:
+                return
         with self._store.write() as connection:
             outbox.coalesce(connection, receiver, self._clock())
 
