@@ -27,6 +27,8 @@ LinearKey = tuple[LinearKind | Property, tuple[str, ...]]
 LINEAR: dict[type[Effect], int] = {Stiffness: 0, Damping: 1, Mass: 2}
 """Linear elements, and how often the displacement is differentiated for their force."""
 
+_KEPT = 4  # projections of the linear elements that are remembered
+
 
 @dataclass(frozen=True, eq=False)
 class Column:
@@ -108,6 +110,7 @@ class Sums:
         for i, name in enumerate(names):
             change = stiffness_change(view.rig, view.model, name, view.s)
             self.whole[..., i] = np.einsum("lnm,elm->eln", (view.columns @ change) / view.sigma[..., None], view.D)
+        self._along: dict[tuple[int, bytes, bytes], Complex] = {}
         self.counts = tuple(len(chosen) * lines * view.rig.n for chosen in self.sets)
         between = np.einsum("lni,lnj->lij", self.q.conj(), self.q)
         self.gram, self.right, self.power, self._psi = [], [], [], []
@@ -135,7 +138,8 @@ class Sums:
         """
         K = len(self.elements)
         free = np.zeros(K, dtype=bool) if free is None else free
-        systems = [self._system(i, columns, free) for i in range(2)]
+        first = self._system(0, columns, free)
+        systems = [first, first if self.sets[1] is self.sets[0] else self._system(1, columns, free)]
         fixed = np.array([False] * int(free.sum()) + [column.fixed for column in columns], dtype=bool)
         gram, right, _ = systems[0]
         theta = fixed.astype(float)
@@ -159,21 +163,29 @@ class Sums:
         gram, right = np.zeros((size, size)), np.zeros(size)
         gram[:m, :m] = self.gram[which][np.ix_(free, free)]
         right[:m] = self.right[which][free]
-        plain, bound = np.split(free, [self.q.shape[-1]])
-        phi, q = self.phi[chosen][..., plain], self.q[..., plain]
-        r, whole = self.view.r[chosen], self.whole[chosen][..., bound]
+        r = self.view.r[chosen]
         for i, column in enumerate(columns, start=m):
             own = column.phi[chosen].conj()
             if m:
-                psi = np.einsum("el,elk->lk", own, phi)
-                near = np.sum((np.einsum("ln,lnk->lk", column.q.conj(), q) * psi).real, axis=0)
-                far = np.einsum("el,ln,elnp->p", own, column.q.conj(), whole, optimize=True).real
-                gram[i, :m] = gram[:m, i] = np.concatenate([near, far])
+                gram[i, :m] = gram[:m, i] = (own.reshape(-1) @ self._seen_along(which, column.q, free)).real
             right[i] = np.sum((column.q.conj() * np.einsum("el,eln->ln", own, r)).real)
             for j, other in enumerate(columns[: i - m + 1], start=m):
                 psi_own = np.sum(own * other.phi[chosen], axis=0)
                 gram[i, j] = gram[j, i] = np.sum((np.sum(column.q.conj() * other.q, axis=1) * psi_own).real)
         return gram, right, self.power[which]
+
+    def _seen_along(self, which: int, q: Complex, free: NDArray[np.bool_]) -> Complex:
+        """Free linear elements projected on a pattern, ``(E L, m)``; kept while an inner parameter is searched."""
+        key = which, q.tobytes(), free.tobytes()
+        if key not in self._along:
+            plain, bound = np.split(free, [self.q.shape[-1]])
+            chosen = self.sets[which]
+            near = np.matmul(q.conj()[:, None], self.q[..., plain])[:, 0] * self.phi[chosen][..., plain]
+            far = np.einsum("ln,elnp->elp", q.conj(), self.whole[chosen][..., bound])
+            if len(self._along) >= _KEPT:
+                self._along.pop(next(iter(self._along)))
+            self._along[key] = np.concatenate([near, far], axis=-1).reshape(-1, int(free.sum()))
+        return self._along[key]
 
     def beside_free_force(self, patterns: Complex, free: NDArray[np.bool_]) -> float:
         """Whitened power a complex sample that a free force per line and experiment leaves at a place.

@@ -55,7 +55,7 @@ class Scan:
         self.sums = Sums(view, fitted, held)
         few = fitted[:_SMALL]
         self.few = few
-        self._small = Sums(view, few, few)
+        self._small = Sums(view, few, few[:0])
         self.all = np.arange(len(view.r))
 
     @property
