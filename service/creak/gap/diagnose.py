@@ -14,7 +14,7 @@ from creak.gap.records import Diagnosis, MissingForce, Validation, Verdict
 from creak.gap.refine import Refined, Setting, refine
 from creak.gap.regression import Indices
 from creak.gap.search import Search, Searched
-from creak.gap.verdict import CLOSED, FEW, WITHIN_DB, as_causes, judge, probabilities
+from creak.gap.verdict import CLOSED, WITHIN_DB, as_causes, as_corrections, judge, probabilities
 from creak.gap.view import check_stable, hold_factor, lines_of
 from creak.mechanics.structure import MeasuredResponse
 from creak.mechanics.system import Model, assemble
@@ -182,7 +182,7 @@ def _where(
     setting: Setting, hypothesis: Hypothesis, searched: Searched, halves: _Halves
 ) -> tuple[tuple[MissingForce, ...], Setting, Hypothesis]:
     """Places of the effects; linear corrections beside them are in the model that they are seen through."""
-    if hypothesis.effects and len(hypothesis.linear) > FEW:
+    if hypothesis.effects and as_corrections(hypothesis):
         corrected = apply(setting.model, Hypothesis(linear=hypothesis.linear))
         setting, hypothesis = replace(setting, model=corrected), replace(hypothesis, linear=())
     return missing_force(setting, hypothesis, searched.places, halves.fitted), setting, hypothesis

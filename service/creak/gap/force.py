@@ -9,7 +9,7 @@ from creak.gap.candidates import group_of
 from creak.gap.hypothesis import Hypothesis, apply
 from creak.gap.records import ForceCurve, MissingForce, Pattern
 from creak.gap.refine import Setting
-from creak.gap.regression import LINEAR, Indices
+from creak.gap.regression import LINEAR, Indices, LinearKey
 from creak.gap.scan import strongest_lines
 from creak.gap.view import View, see
 from creak.mechanics.effects import GROUND, Damping, Effect, Mass, Restoring, Stiffness
@@ -33,7 +33,7 @@ def acting_places(hypothesis: Hypothesis) -> list[tuple[str, tuple[str, ...]]]:
         if (group_of(effect.at, type(effect)), at) not in found:
             found.append((group_of(effect.at, type(effect)), at))
     for (_, at), _ in hypothesis.linear:
-        if not any(set(at) == set(other) for _, other in found):
+        if at and not any(set(at) == set(other) for _, other in found):
             found.append(("internal", at))
     return found
 
@@ -57,7 +57,7 @@ def missing_force(
     if not acting:
         best = places[0][0]
         acting = [(group, at) for rest, group, at in places if rest <= 1.02 * best + 0.02][:1]
-    residuals = {at: rest for rest, _, at in places}
+    residuals = {(group, frozenset(at)): rest for rest, group, at in places}
     forces = _joint_forces(view, acting, experiments)
     powers = []
     for i, (group, at) in enumerate(acting):
@@ -83,7 +83,7 @@ def missing_force(
                 powers[i] / over,
                 (low * frequency, high * frequency),
                 _pattern(group, at),
-                residuals.get(at, residuals.get(at[::-1], float("nan"))),
+                residuals.get((group, frozenset(at)), float("nan")),
             )
         )
     return tuple(sorted(found, key=lambda item: -item.share))
@@ -158,7 +158,7 @@ def force_curves(
 def _fitted(
     at: tuple[str, ...],
     effects: Sequence[Effect],
-    linear: Sequence[tuple[tuple[type[Effect], tuple[str, str]], float]],
+    linear: Sequence[tuple[LinearKey, float]],
     d: Real,
     v: Real,
     rate: float,
@@ -183,5 +183,6 @@ def _fitted(
         elif type(effect) in LINEAR:
             total += effect.parameters()["coefficient"] * parts[type(effect)]
     for (kind, _), change in linear:
-        total += change * parts[kind]
+        if not isinstance(kind, str):
+            total += change * parts[kind]
     return total

@@ -2,13 +2,18 @@
 
 from dataclasses import dataclass, field, replace
 
-from creak.gap.regression import LinearKind
+from creak.gap.properties import properties_of
+from creak.gap.regression import LinearKey, LinearKind
+from creak.mechanics.beam import Beam
 from creak.mechanics.effects import GROUND, Damping, Effect, Mass, Stiffness
 from creak.mechanics.structure import Lumped, PointMass
 from creak.mechanics.system import Model
 
-LinearKey = tuple[LinearKind, tuple[str, str]]
-"""A linear element: `Stiffness`, `Damping` or `Mass`, and its place."""
+_OF_STATION: dict[LinearKind, str] = {
+    Mass: "moving_mass",
+    Stiffness: "suspension_stiffness",
+    Damping: "suspension_damping",
+}
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Own:
-    """A linear element that a model has, with its value."""
+    """A linear element or property that a model has, with its value."""
 
     key: LinearKey
     name: str
@@ -46,7 +51,14 @@ class Own:
 
 
 def own_elements(model: Model) -> list[Own]:
-    """Masses, stiffnesses and dampings that a lumped model names; none for other kinds."""
+    """Masses, stiffnesses and dampings that a lumped model names, and what a beam has; none for matrices."""
+    if isinstance(model, Beam):
+        found = [
+            Own((kind, (station.name, GROUND)), station.name, parameter, getattr(station, parameter))
+            for station in model.stations
+            for kind, parameter in _OF_STATION.items()
+        ]
+        return found + [Own((name, ()), "beam", name, getattr(model, name)) for name in properties_of(model)]
     if not isinstance(model, Lumped):
         return []
     found = [Own((Mass, (mass.name, GROUND)), mass.name, "mass", mass.mass) for mass in model.masses]
@@ -70,15 +82,21 @@ def apply(model: Model, hypothesis: Hypothesis) -> Model:
     effects = [effect for i, effect in enumerate(model.effects) if i not in hypothesis.dropped]
     added: list[Effect] = list(hypothesis.effects)
     for (kind, at), change in hypothesis.linear:
-        moved = _moved(model, kind, at, change) if isinstance(model, Lumped) else None
-        if moved is None:
-            added.append(kind(at, change))
-        else:
+        moved: Model | None = None
+        if isinstance(kind, str):
+            moved = replace(model, **{kind: getattr(model, kind) + change})
+        elif isinstance(model, Lumped):
+            moved = _moved(model, kind, at, change)
+        elif isinstance(model, Beam):
+            moved = _moved_station(model, kind, at, change)
+        if moved is not None:
             model = moved
+        elif not isinstance(kind, str):
+            added.append(kind(at, change))
     return replace(model, effects=(*effects, *added))
 
 
-def _moved(model: Lumped, kind: LinearKind, at: tuple[str, str], change: float) -> Lumped | None:
+def _moved(model: Lumped, kind: LinearKind, at: tuple[str, ...], change: float) -> Lumped | None:
     """Lumped model whose own element is changed; None if it has none, or would be left with less than nothing."""
     if kind is Mass:
         masses = [
@@ -94,4 +112,15 @@ def _moved(model: Lumped, kind: LinearKind, at: tuple[str, str], change: float) 
         if set(link.between) == set(at) and getattr(link, key) + change >= 0:
             links[i] = replace(link, **{key: getattr(link, key) + change})
             return replace(model, links=tuple(links))
+    return None
+
+
+def _moved_station(model: Beam, kind: LinearKind, at: tuple[str, ...], change: float) -> Beam | None:
+    """Beam with another mass or suspension at a station; None between stations, or if less than 0 is left."""
+    parameter = _OF_STATION[kind]
+    for i, station in enumerate(model.stations):
+        if at == (station.name, GROUND) and getattr(station, parameter) + change >= 0:
+            stations = list(model.stations)
+            stations[i] = replace(station, **{parameter: getattr(station, parameter) + change})
+            return replace(model, stations=tuple(stations))
     return None

@@ -12,6 +12,7 @@ import numpy as np
 from creak.errors import ConfigurationError, SimulationError
 from creak.gap.hypothesis import Hypothesis, apply
 from creak.gap.periodic import PeriodicData
+from creak.gap.properties import stiffness_change
 from creak.gap.regression import LINEAR, Indices
 from creak.gap.view import lines_of
 from creak.mechanics.effects import GROUND, Clearance, CoulombFriction, Effect, Hysteresis, OneSidedStop
@@ -261,7 +262,7 @@ def _linear_rows(setting: Setting, hypothesis: Hypothesis, steady: SteadyState) 
         rate = np.gradient(d, axis=-1) * (rig.sample_rate * steady.oversampling)
         stiffness += np.sum(f * d) / max(float(np.sum(d * d)), 1e-300) * np.outer(b, b)
         damping += np.sum(f * rate) / max(float(np.sum(rate**2)), 1e-300) * np.outer(b, b)
-    s = 2j * np.pi * np.arange(top) * rig.sample_rate / rig.period_samples
+    s: Complex = np.asarray(2j * np.pi * np.arange(top) * rig.sample_rate / rig.period_samples, np.complex128)
     dynamic = stiffness + s[:, None, None] * damping + s[:, None, None] ** 2 * system.mass
     rows_at = {node.name: system.outputs[i] for i, node in enumerate(rig.nodes)}
     receptance = system.outputs @ np.linalg.solve(
@@ -275,7 +276,12 @@ def _linear_rows(setting: Setting, hypothesis: Hypothesis, steady: SteadyState) 
     names = list(rows_at)
     sigma = np.sqrt(setting.data.variance[:top])
     found = []
+    corrected = apply(setting.model, hypothesis)
     for (kind, at), _ in hypothesis.linear:
+        if isinstance(kind, str):
+            force = np.matmul(stiffness_change(rig, corrected, kind, s), D[..., None])
+            found.append(-np.matmul(receptance, force)[..., 0] * differentiated / sigma)
+            continue
         b = np.zeros(rig.n)
         b[names.index(at[0])] = 1.0
         if at[1] != GROUND:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from creak.gap.properties import Property, properties_of, stiffness_change
 from creak.gap.view import View
 from creak.mechanics.effects import GROUND, Damping, Effect, Mass, Stiffness
 from creak.records import Complex, Real
@@ -20,8 +21,13 @@ Indices = NDArray[np.int64]
 
 LinearKind = type[Stiffness] | type[Damping] | type[Mass]
 
+LinearKey = tuple[LinearKind | Property, tuple[str, ...]]
+"""A linear element: `Stiffness`, `Damping` or `Mass`, and its place; or a property of the whole model."""
+
 LINEAR: dict[type[Effect], int] = {Stiffness: 0, Damping: 1, Mass: 2}
 """Linear elements, and how often the displacement is differentiated for their force."""
+
+_KEPT = 4  # projections of the linear elements that are remembered
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +85,9 @@ def linear_elements(names: Sequence[str]) -> list[tuple[LinearKind, tuple[str, s
 class Sums:
     """Sums over experiments of one view with its linear elements, for a set that is fitted and one kept aside.
 
+    The properties of a beam come after the elements; their columns are no product of a pattern and a force, so
+    they are kept whole.
+
     Parameters
     ----------
     view : View
@@ -89,22 +98,33 @@ class Sums:
     def __init__(self, view: View, fitted: Indices, held: Indices) -> None:
         self.view = view
         self.sets = (fitted, held if len(held) else fitted)
-        self.elements = linear_elements(view.names)
+        elements = linear_elements(view.names)
+        names = properties_of(view.model)
+        self.elements: list[LinearKey] = [*elements, *((name, ()) for name in names)]
         lines = len(view.s)
-        self.q = np.stack([view.pattern(at, "internal") for _, at in self.elements], axis=-1)
+        self.q = np.stack([view.pattern(at, "internal") for _, at in elements], axis=-1)
         self.phi = np.stack(
-            [(view.D @ view.weights(at)) * view.s ** LINEAR[kind] for kind, at in self.elements], axis=-1
+            [(view.D @ view.weights(at)) * view.s ** LINEAR[kind] for kind, at in elements], axis=-1
         )
+        self.whole = np.zeros((*view.r.shape, len(names)), dtype=np.complex128)
+        for i, name in enumerate(names):
+            change = stiffness_change(view.rig, view.model, name, view.s)
+            self.whole[..., i] = np.einsum("lnm,elm->eln", (view.columns @ change) / view.sigma[..., None], view.D)
+        self._along: dict[tuple[int, bytes, bytes], Complex] = {}
         self.counts = tuple(len(chosen) * lines * view.rig.n for chosen in self.sets)
         between = np.einsum("lni,lnj->lij", self.q.conj(), self.q)
         self.gram, self.right, self.power, self._psi = [], [], [], []
         for chosen in self.sets:
-            phi, r = self.phi[chosen], view.r[chosen]
+            phi, r, whole = self.phi[chosen], view.r[chosen], self.whole[chosen]
             psi = np.matmul(phi.transpose(1, 2, 0).conj(), phi.transpose(1, 0, 2))  # (L, K, K)
             self._psi.append(psi)
-            self.gram.append(np.sum((between * psi).real, axis=0))
+            gram = np.sum((between * psi).real, axis=0)
+            cross = np.einsum("elk,lnk,elnp->kp", phi.conj(), self.q.conj(), whole, optimize=True).real
+            flat = whole.reshape(r.size, len(names))
+            self.gram.append(np.block([[gram, cross], [cross.T, (flat.conj().T @ flat).real]]))
             onto = np.matmul(phi.transpose(1, 2, 0).conj(), r.transpose(1, 0, 2))  # (L, K, n)
-            self.right.append(np.sum((self.q.conj().transpose(0, 2, 1) * onto).real, axis=(0, 2)))
+            right = np.sum((self.q.conj().transpose(0, 2, 1) * onto).real, axis=(0, 2))
+            self.right.append(np.concatenate([right, (flat.conj().T @ r.reshape(-1)).real]))
             self.power.append(float(np.sum(np.abs(r) ** 2)))
 
     def fit(self, columns: Sequence[Column] = (), free: NDArray[np.bool_] | None = None) -> Fitted:
@@ -118,7 +138,8 @@ class Sums:
         """
         K = len(self.elements)
         free = np.zeros(K, dtype=bool) if free is None else free
-        systems = [self._system(i, columns, free) for i in range(2)]
+        first = self._system(0, columns, free)
+        systems = [first, first if self.sets[1] is self.sets[0] else self._system(1, columns, free)]
         fixed = np.array([False] * int(free.sum()) + [column.fixed for column in columns], dtype=bool)
         gram, right, _ = systems[0]
         theta = fixed.astype(float)
@@ -142,20 +163,29 @@ class Sums:
         gram, right = np.zeros((size, size)), np.zeros(size)
         gram[:m, :m] = self.gram[which][np.ix_(free, free)]
         right[:m] = self.right[which][free]
-        phi, q = self.phi[chosen][..., free], self.q[..., free]
         r = self.view.r[chosen]
         for i, column in enumerate(columns, start=m):
             own = column.phi[chosen].conj()
             if m:
-                psi = np.einsum("el,elk->lk", own, phi)
-                gram[i, :m] = gram[:m, i] = np.sum(
-                    (np.einsum("ln,lnk->lk", column.q.conj(), q) * psi).real, axis=0
-                )
+                gram[i, :m] = gram[:m, i] = (own.reshape(-1) @ self._seen_along(which, column.q, free)).real
             right[i] = np.sum((column.q.conj() * np.einsum("el,eln->ln", own, r)).real)
             for j, other in enumerate(columns[: i - m + 1], start=m):
                 psi_own = np.sum(own * other.phi[chosen], axis=0)
                 gram[i, j] = gram[j, i] = np.sum((np.sum(column.q.conj() * other.q, axis=1) * psi_own).real)
         return gram, right, self.power[which]
+
+    def _seen_along(self, which: int, q: Complex, free: NDArray[np.bool_]) -> Complex:
+        """Free linear elements projected on a pattern, ``(E L, m)``; kept while an inner parameter is searched."""
+        key = which, q.tobytes(), free.tobytes()
+        if key not in self._along:
+            plain, bound = np.split(free, [self.q.shape[-1]])
+            chosen = self.sets[which]
+            near = np.matmul(q.conj()[:, None], self.q[..., plain])[:, 0] * self.phi[chosen][..., plain]
+            far = np.einsum("ln,elnp->elp", q.conj(), self.whole[chosen][..., bound])
+            if len(self._along) >= _KEPT:
+                self._along.pop(next(iter(self._along)))
+            self._along[key] = np.concatenate([near, far], axis=-1).reshape(-1, int(free.sum()))
+        return self._along[key]
 
     def beside_free_force(self, patterns: Complex, free: NDArray[np.bool_]) -> float:
         """Whitened power a complex sample that a free force per line and experiment leaves at a place.
@@ -172,22 +202,34 @@ class Sums:
         float
             Relative to what is left to noise, ``n - k`` of n samples.
         """
+        return self.fit_beside_free_force(patterns, free)[0]
+
+    def fit_beside_free_force(self, patterns: Complex, free: NDArray[np.bool_]) -> tuple[float, Real]:
+        """As `beside_free_force`, with the coefficients ``(K,)`` of linear elements, 0 where they were held."""
         n, k = patterns.shape[1:]
         basis = np.linalg.qr(patterns)[0]
         chosen = self.sets[0]
-        r, phi = self.view.r[chosen], self.phi[chosen][..., free]
+        plain, bound = np.split(free, [self.q.shape[-1]])
+        r, phi, whole = self.view.r[chosen], self.phi[chosen][..., plain], self.whole[chosen][..., bound]
+        linear = np.zeros(len(free))
         along = np.einsum("lnk,eln->elk", basis.conj(), r)
         power = self.power[0] - float(np.sum(np.abs(along) ** 2))
         if free.any():
-            hq = np.einsum("lnk,lnj->lkj", basis.conj(), self.q[..., free])
-            psi = self._psi[0][np.ix_(np.arange(len(basis)), free, free)]
-            gram = self.gram[0][np.ix_(free, free)]
-            gram = gram - np.sum((np.einsum("lki,lkj->lij", hq.conj(), hq) * psi).real, axis=0)
+            hq = np.einsum("lnk,lnj->lkj", basis.conj(), self.q[..., plain])
+            hw = np.einsum("lnk,elnp->elkp", basis.conj(), whole)
+            psi = self._psi[0][np.ix_(np.arange(len(basis)), plain, plain)]
+            near = np.sum((np.einsum("lki,lkj->lij", hq.conj(), hq) * psi).real, axis=0)
+            cross = np.einsum("elj,lkj,elkp->jp", phi.conj(), hq.conj(), hw, optimize=True).real
+            flat = hw.reshape(along.size, hw.shape[-1])
+            taken = np.block([[near, cross], [cross.T, (flat.conj().T @ flat).real]])
+            gram = self.gram[0][np.ix_(free, free)] - taken
             onto = np.einsum("elj,elk->lkj", phi.conj(), along)
-            right = self.right[0][free] - np.sum((hq.conj() * onto).real, axis=(0, 1))
+            lost = [np.sum((hq.conj() * onto).real, axis=(0, 1)), (flat.conj().T @ along.reshape(-1)).real]
+            right = self.right[0][free] - np.concatenate(lost)
             theta = solve(gram, right, np.diag(self.gram[0])[free])
             power += -2 * theta @ right + theta @ gram @ theta
-        return float(power / (self.counts[0] * (n - k) / n))
+            linear[free] = theta
+        return float(power / (self.counts[0] * (n - k) / n)), linear
 
 
 def solve(gram: Real, right: Real, size: Real | None = None) -> Real:

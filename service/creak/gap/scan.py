@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from creak.gap.candidates import Candidate, candidates_at, group_of, optimise, places
-from creak.gap.hypothesis import Hypothesis, LinearKey
-from creak.gap.regression import LINEAR, Column, Indices, Sums
+from creak.gap.hypothesis import Hypothesis
+from creak.gap.regression import LINEAR, Column, Indices, LinearKey, Sums
 from creak.gap.view import View
 from creak.mechanics.effects import GROUND, Effect, Resonator
 from creak.records import Real
@@ -55,7 +55,7 @@ class Scan:
         self.sums = Sums(view, fitted, held)
         few = fitted[:_SMALL]
         self.few = few
-        self._small = Sums(view, few, few)
+        self._small = Sums(view, few, few[:0])
         self.all = np.arange(len(view.r))
 
     @property

@@ -7,12 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from creak.errors import ConfigurationError
+from creak.gap.approach import approach
 from creak.gap.hypothesis import Hypothesis, apply, own_elements
+from creak.gap.properties import properties_of
 from creak.gap.refine import Refined, Setting, refine
 from creak.gap.regression import Indices
 from creak.gap.scan import Found, Scan, Trial, combos, replacement
 from creak.gap.view import see
-from creak.mechanics.effects import Resonator, Restoring
+from creak.mechanics.effects import GROUND, Resonator, Restoring
 from creak.mechanics.electronics import Electronic
 
 Report = Callable[[str, float], None]
@@ -162,6 +164,12 @@ class Search:
         own = np.array([element in keys for element in scan.sums.elements])
         every: list[Ranked] = []
         for free in [own, ~scan.none] if own.any() else [~scan.none]:
+            if properties_of(self.setting.model):
+                stage = self._approached(scan, free)
+                if self._explains(stage):
+                    return stage
+                every += stage
+                continue
             alone = scan.hypothesis([], free)
             stage = self._compete(self._again(alone, free))
             if not self._explains(stage):
@@ -176,6 +184,45 @@ class Search:
                 return stage
             every += stage
         return tuple(sorted(every, key=lambda item: item.score))
+
+    def _approached(self, scan: Scan, free: NDArray[np.bool_]) -> tuple[Ranked, ...]:
+        """Linear elements of a beam alone, then beside a free force at one place, then beside the laws there."""
+        none = Hypothesis()
+        left, alone = approach(self.setting, self.few, None, free, none)
+        stage = self._compete([Found(alone, left / self.floor)])
+        if self._explains(stage) or self.setting.rig.n == 1:
+            return stage
+        near = []
+        alike: dict[tuple[bool, tuple[str, ...]], tuple[float, Hypothesis]] = {}
+        for _, group, at in scan.places(free):
+            # A free force at an actuator is one between its node and the ground.
+            where = group == "sensor", (*at, GROUND)[:2]
+            if where not in alike:
+                starts = [approach(self.setting, self.few, (group, at), free, start, 3) for start in (none, alone)]
+                alike[where] = min(starts, key=lambda item: item[0])
+            near.append((alike[where][0] / self.floor, (group, at), where))
+        near.sort(key=lambda item: item[0])
+        found, placed, ended = [], [], {}
+        for _, place, where in near[:_PLACES]:
+            if where not in ended:
+                ended[where] = approach(self.setting, self.few, place, free, alike[where][1])
+            left, linear = ended[where]
+            placed.append((left / self.floor, *place))
+            if left / self.floor > max(_MANY, _HOPELESS * self.before):
+                continue
+            changed = replace(self.setting, model=apply(self.setting.model, linear))
+            seen = self._scan(changed)
+            changes = dict(linear.linear)
+            for trial in seen.trials(*place, free)[:2]:
+                if np.isfinite(trial.rest):
+                    law = seen.hypothesis([trial], free)
+                    total = tuple((key, changes.get(key, 0.0) + c) for key, c in law.hypothesis.linear)
+                    found.append(Found(replace(law.hypothesis, linear=total), law.rest))
+        rest = [(left, *place) for left, place, _ in near[_PLACES:]]
+        placed = sorted([*placed, *rest], key=lambda item: item[0])
+        if not self._placed_beside_linear or placed[0][0] < 0.7 * self._placed_beside_linear[0][0]:
+            self._placed_beside_linear = placed
+        return tuple(sorted([*stage, *self._compete(found)], key=lambda item: item.score))
 
     def _again(self, first: Found, free: NDArray[np.bool_]) -> list[Found]:
         """Rank once more, seen through the corrected linear part; then drop what does not matter."""

@@ -36,7 +36,7 @@ def judge(gap: GapLevels, hypothesis: Hypothesis | None) -> Verdict:
     if hypothesis is None or gap.closed is None or not hypothesis.size:
         return Verdict.UNKNOWN
     places = [frozenset(effect.at) for effect in hypothesis.effects]
-    if len(hypothesis.linear) <= FEW:
+    if not as_corrections(hypothesis):
         places += [frozenset(at) for (_, at), _ in hypothesis.linear]
     crowded = any(places.count(place) > MOST_AT_ONE_PLACE for place in places)
     few = len(places) <= MOST_EFFECTS and not crowded
@@ -45,6 +45,12 @@ def judge(gap: GapLevels, hypothesis: Hypothesis | None) -> Verdict:
     if gap.closed >= HALF:
         return Verdict.PARTLY_EXPLAINED
     return Verdict.UNKNOWN
+
+
+def as_corrections(hypothesis: Hypothesis) -> bool:
+    """Whether linear changes are told as corrections of the model: where they are many, or of a whole beam."""
+    linear = hypothesis.linear
+    return len(linear) > FEW or any(isinstance(kind, str) for (kind, _), _ in linear)
 
 
 def probabilities(search: Search, searched: Searched) -> tuple[list[float], float]:
@@ -85,7 +91,7 @@ def as_causes(
     errors = np.sqrt(np.maximum(np.diag(final.covariance), 0.0))
     chance = chances[0] if chances else 0.0
     linear_errors = errors[len(errors) - len(hypothesis.linear) :] if hypothesis.linear else np.zeros(0)
-    many = len(hypothesis.linear) > FEW
+    many = as_corrections(hypothesis)
     corrections = _corrections(setting, hypothesis, linear_errors) if many else ()
     causes = []
     stage = replace(hypothesis, effects=(), linear=hypothesis.linear if many else ())
@@ -97,7 +103,8 @@ def as_causes(
         offset += len(names)
     if not many:
         for ((kind, at), change), error in zip(hypothesis.linear, linear_errors, strict=True):
-            items.append((kind(at, change), {"coefficient": float(error)}))
+            if not isinstance(kind, str):
+                items.append((kind(at, change), {"coefficient": float(error)}))
     for i, (effect, standard) in enumerate(items):
         stage = replace(stage, effects=(*stage.effects, effect))
         after = gap.after_db if i == len(items) - 1 else _gap_after(setting, stage, shown)
@@ -148,8 +155,9 @@ def _corrections(setting: Setting, hypothesis: Hypothesis, errors: np.ndarray) -
     found = []
     for ((kind, at), change), error in zip(hypothesis.linear, errors, strict=True):
         item = own.get((kind, at))
-        name = item.name if item else "-".join(part for part in at if kind.effect != "mass" or part != "ground")
-        parameter = item.parameter if item else kind.effect
+        effect = kind if isinstance(kind, str) else kind.effect
+        name = item.name if item else "-".join(part for part in at if effect != "mass" or part != "ground")
+        parameter = item.parameter if item else effect
         value = item.value if item else 0.0
         found.append(LinearCorrection(name, parameter, value, value + change, float(error)))
     return tuple(found)

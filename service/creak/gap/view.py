@@ -28,6 +28,7 @@ class View:
     Parameters
     ----------
     rig : Rig
+    model : Model
     system : System
     s : array, (L,)
         ``j w`` at all lines.
@@ -52,6 +53,7 @@ class View:
     """
 
     rig: Rig
+    model: Model
     system: System
     s: Complex
     columns: Complex
@@ -187,6 +189,7 @@ def see(rig: Rig, model: Model, data: PeriodicData, top: int | None = None) -> V
     sigma = np.sqrt(data.variance)
     return View(
         rig,
+        model,
         system,
         np.asarray(s[kept], dtype=np.complex128),
         columns[kept],
