@@ -128,7 +128,7 @@ def period_drift(spectra: Complex, lines: tuple[int, ...], period_samples: int) 
 def clipping(x: Real) -> Clipping | None:
     """Samples that pile up at the largest or the smallest value of a signal.
 
-    Rule: in an outermost strip of 0.05, 0.1 or 0.2 RMS values lie at least 16 samples, and four times as many as
+    Rule: in an outermost strip of 0.05, 0.1 or 0.2 RMS values lie at least 32 samples, and four times as many as
     in the strip next to it (a smooth peak has 2.4 times as many, at any width); of a coarsely quantised signal
     the outermost levels are compared instead. A signal that spends 40 % of its time there is meant to have two
     levels. The widths allow for noise after the limit of up to some -30 dB.
@@ -150,7 +150,7 @@ def clipping(x: Real) -> Clipping | None:
         outer = np.sort(depth[depth < 0.8 * rms])
         for width in (0.05 * rms, 0.1 * rms, 0.2 * rms):
             there, both = (int(count) for count in np.searchsorted(outer, (width, 2 * width)))
-            if there < 16 or there <= 4 * (both - there) or there > 0.4 * x.size:
+            if there < 32 or there <= 4 * (both - there) or there > 0.4 * x.size:
                 continue
             share = _piled(outer, there) / x.size
             if share and (worst is None or share > worst.share):
