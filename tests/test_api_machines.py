@@ -170,7 +170,7 @@ def test_examples_have_the_keys_of_their_models(model):
 def shape(value):
     """Keys of a body, with the first item of a list for all; free tables and lists that are empty here are not."""
     if isinstance(value, dict):
-        free = {"faults", "alarms", "limits", "excitation", "request", "result", "quality"}
+        free = {"faults", "alarms", "limits", "excitation", "request", "result", "quality", "detection"}
         return {key: None if key in free else shape(item) for key, item in value.items()}
     if isinstance(value, list):
         return [shape(value[0])] if value and isinstance(value[0], dict) else None
