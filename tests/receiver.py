@@ -55,7 +55,11 @@ class ReceiverServer(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     def do_POST(self):
         server = self.server
-        body = self.rfile.read(int(self.headers["content-length"]))
+        length = int(self.headers["content-length"])
+        body = self.rfile.read(length)
+        if len(body) < length:  # the sender was killed in the middle: nothing has arrived
+            self.close_connection = True
+            return
         with server.lock:
             headers = {name.lower(): value for name, value in self.headers.items()}
             server.received.append(Received(self.path, headers, body, time.monotonic()))

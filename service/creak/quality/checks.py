@@ -128,10 +128,10 @@ def period_drift(spectra: Complex, lines: tuple[int, ...], period_samples: int) 
 def clipping(x: Real) -> Clipping | None:
     """Samples that pile up at the largest or the smallest value of a signal.
 
-    Rule: in an outermost strip of 0.05, 0.1 or 0.2 RMS values lie at least 32 samples, and four times as many as
-    in the strip next to it (a smooth peak has 2.4 times as many, at any width); of a coarsely quantised signal
-    the outermost levels are compared instead. A signal that spends 40 % of its time there is meant to have two
-    levels. The widths allow for noise after the limit of up to some -30 dB.
+    Rule: in an outermost strip of 0.001 RMS values lie at least 16 samples and 0.5 % of all, and four times as
+    many as in the strip next to it (a smooth peak has 2.4 times as many, and few in so thin a strip); of a quantised
+    signal the outermost levels are compared instead. A signal that spends 40 % of its time there is meant to have
+    two levels. Noise that comes after the limit hides it: a converter clips what it samples, its noise included.
 
     Parameters
     ----------
@@ -148,13 +148,12 @@ def clipping(x: Real) -> Clipping | None:
     for sign in (1.0, -1.0):
         depth = float((sign * x).max()) - sign * x  # below the largest value
         outer = np.sort(depth[depth < 0.8 * rms])
-        for width in (0.05 * rms, 0.1 * rms, 0.2 * rms):
-            there, both = (int(count) for count in np.searchsorted(outer, (width, 2 * width)))
-            if there < 32 or there <= 4 * (both - there) or there > 0.4 * x.size:
-                continue
-            share = _piled(outer, there) / x.size
-            if share and (worst is None or share > worst.share):
-                worst = Clipping(share, float(sign * (sign * x).max()))
+        there, both = (int(count) for count in np.searchsorted(outer, (0.001 * rms, 0.002 * rms)))
+        if there < max(16, 0.005 * x.size) or there <= 4 * (both - there) or there > 0.4 * x.size:
+            continue
+        share = _piled(outer, there) / x.size
+        if share and (worst is None or share > worst.share):
+            worst = Clipping(share, float(sign * (sign * x).max()))
     return worst
 
 
@@ -169,7 +168,7 @@ def _piled(outer: Real, there: int) -> int:
         How many of them are in the strip that is suspected.
     """
     levels, counts = np.unique(outer, return_counts=True)
-    if counts[0] == 1 or len(levels) > there / 4:  # a continuous signal, with noise or without
+    if counts[0] == 1:  # a continuous signal
         return there
     if len(levels) == 1 or counts[0] <= 4 * counts[1]:
         return 0
