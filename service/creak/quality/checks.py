@@ -129,9 +129,10 @@ def clipping(x: Real) -> Clipping | None:
     """Samples that pile up at the largest or the smallest value of a signal.
 
     Rule: in an outermost strip of 0.001 RMS values lie at least 16 samples and 0.5 % of all, and four times as
-    many as in the strip next to it (a smooth peak has 2.4 times as many, and few in so thin a strip); of a quantised
-    signal the outermost levels are compared instead. A signal that spends 40 % of its time there is meant to have
-    two levels. Noise that comes after the limit hides it: a converter clips what it samples, its noise included.
+    many as in the strip next to it (a smooth peak has 2.4 times as many, and few in so thin a strip); of a
+    quantised signal the outermost levels are compared instead. A signal that spends 40 % of its time there is
+    meant to have two levels. Noise that comes after the limit hides it: a converter clips what it samples, its
+    noise included.
 
     Parameters
     ----------
