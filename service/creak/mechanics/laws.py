@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from creak.mechanics.compiling import compiled
+from creak.compiling import compiled
 from creak.records import Real
 
 CUBIC: Final = 0

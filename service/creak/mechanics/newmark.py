@@ -19,9 +19,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from creak.compiling import compiled
 from creak.errors import SimulationError
 from creak.mechanics import newton
-from creak.mechanics.compiling import compiled
 from creak.mechanics.electronics import AT_REST
 from creak.mechanics.newton import Elements, Step
 from creak.mechanics.system import System

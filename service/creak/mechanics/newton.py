@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from creak.compiling import compiled
 from creak.mechanics import laws
-from creak.mechanics.compiling import compiled
 from creak.records import Real
 
 TOLERANCE: Final = 1e-12  # of the elements' displacements: Newton goes on until they agree as well as that

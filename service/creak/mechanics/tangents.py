@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from creak.compiling import compiled
 from creak.mechanics import laws
-from creak.mechanics.compiling import compiled
 from creak.records import Real
 
 
