@@ -8,7 +8,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from creak.codec import node_json
+from creak.codec import alarm_line, node_json
 from creak.records import AlarmChange, AlarmState, Estimate, Fault, Frame, FrameStatus, Run, RunEnd, Scope
 
 STATE_STYLES = {AlarmState.NORMAL.value: "green", AlarmState.RETURNED_UNACKNOWLEDGED.value: "yellow"}
@@ -100,7 +100,7 @@ class LiveLevels:
             case AlarmChange():
                 if record.class_ == "process":
                     self._states[record.node] = record.state
-                self._news.append(_alarm_line(record))
+                self._news.append(alarm_line(record))
             case Fault():
                 self._news.append(record.message)
 
@@ -200,10 +200,3 @@ def _probability(value: float | None) -> str:
     if value is None:
         return "–"
     return f"{value:.2g}" if value > 1e-99 else "< 1e-99"
-
-
-def _alarm_line(change: AlarmChange) -> str:
-    place = f"node {change.node}" if change.node else "rig"
-    if change.class_ == "quality":
-        return f"{place}: {change.condition.replace('_', ' ')} {change.event}"
-    return f"{place}: {change.event} at {change.level_db:.1f} dB"

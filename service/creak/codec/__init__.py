@@ -35,6 +35,7 @@ from creak.codec.schemas import (
     level_topic,
     topics,
 )
+from creak.codec.views import Viewed, alarm_line, spectrum_topic, view_schemas, view_topics, views
 
 __all__ = [
     "DESCRIPTOR_SET",
@@ -45,7 +46,9 @@ __all__ = [
     "TREND",
     "Closing",
     "Opening",
+    "Viewed",
     "alarm_json",
+    "alarm_line",
     "closing_of",
     "closing_text",
     "decode",
@@ -64,7 +67,11 @@ __all__ = [
     "opening_text",
     "parse_time",
     "spectrum_json",
+    "spectrum_topic",
     "summary_json",
     "time_json",
     "topics",
+    "view_schemas",
+    "view_topics",
+    "views",
 ]

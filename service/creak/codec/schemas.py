@@ -183,6 +183,7 @@ LAYOUT: Final[dict[str, dict[str, str]]] = {
         "message": "string",
         "continues": "bool",
     },
+    "Spectrum": {"freq": "double*", "level": "double*"},  # Hz, dB; a view, see creak.codec.views
 }
 
 TOPICS: Final = {
