@@ -9,7 +9,21 @@ from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from creak import __version__
-from creak.api import alarms, baselines, events, health, jobs, metrics, operate, page, problems, rigs, webhooks
+from creak.api import (
+    alarms,
+    baselines,
+    downloads,
+    events,
+    health,
+    jobs,
+    metrics,
+    operate,
+    page,
+    problems,
+    rigs,
+    structure,
+    webhooks,
+)
 from creak.api.access import Access, Gate
 from creak.api.events import EventFeed, watched
 from creak.api.guard import Guard
@@ -105,7 +119,7 @@ def create_app(
     app.add_middleware(Gate, store=opened, access=app.state.access)
     app.add_middleware(Guard)
     api = APIRouter(prefix="/api/v1")
-    for part in (rigs, baselines, alarms, operate, webhooks, jobs, events):
+    for part in (rigs, structure, baselines, alarms, operate, downloads, webhooks, jobs, events):
         api.include_router(part.router)
     app.include_router(api)
     for outside in (health, metrics, page):

@@ -23,6 +23,7 @@ _MEANINGS = {
     410: "The file is no longer there.",
     412: "It has changed since the client saw it.",
     413: "The body is too long.",
+    416: "The file has no such range of bytes.",
     421: "Without keys the API is called by an address or localhost.",
     422: "A parameter holds what it must not hold.",
     429: "Too many requests.",
