@@ -2,8 +2,9 @@
 
 Phases: reads alone; then with a receiver of webhooks that never answers and a client of the event stream that
 never reads; then with the store locked by another program as well. Latency counts from the moment at which a
-request was due, so a service that falls behind cannot hide it. ``timer_p99_ms`` is how late the client's own timer
-was: latency that the measurement itself adds. A busy machine adds more to the service, which computes.
+request was due, so a service that falls behind cannot hide it. Beside it, in turn with it, a bare server is asked
+that answers with fixed bytes: what the machine, the server's library and the client add by themselves is
+``bare_p99_ms``.
 """
 
 import argparse
@@ -68,6 +69,18 @@ _PATHS = [
     for path in (f"/rigs/{name}", f"/rigs/{name}/nodes", f"/rigs/{name}/history?limit=20", "/alarms", "/rigs")
 ]
 _CONNECTIONS = 16
+_BARE = """
+import socket, uvicorn
+BODY = b"x" * 2000
+HEADERS = [(b"content-type", b"application/json"), (b"content-length", b"2000")]
+async def app(scope, receive, send):
+    await send({"type": "http.response.start", "status": 200, "headers": HEADERS})
+    await send({"type": "http.response.body", "body": BODY})
+listener = socket.create_server(("127.0.0.1", 0))
+print(listener.getsockname()[1], flush=True)
+uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off")).run(sockets=[listener])
+"""
+_BARE_SHARE = 4  # one request of so many goes to the bare server as well
 
 
 def service(directory, port, names=_NAMES, more=""):
@@ -83,6 +96,16 @@ def service(directory, port, names=_NAMES, more=""):
     command = [sys.executable, "-m", "creak.cli", "serve", "creak.toml"]
     with open(directory / "log", "w") as log:
         return subprocess.Popen(command, cwd=directory, env=environment, stderr=log, stdout=log)
+
+
+def end(process):
+    """End a service as an operator would, for certain."""
+    process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(20)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 async def _ask(port, reader, writer, path, method="GET", body=b""):
@@ -103,32 +126,28 @@ async def _one(port, path, method="GET", body=b""):
         writer.close()
 
 
-async def _reads(port, rate, seconds):
+async def _reads(port, bare, rate, seconds):
     """Ask at a steady rate; latencies in seconds, and answers that were not 200."""
-    latencies, failures, late = [], 0, []
+    latencies, fixed, failures = [], [], 0
     begun = time.monotonic()
-    numbers = iter(range(round(rate * seconds)))
 
-    async def client():
+    async def client(port, rate, numbers, into):
         nonlocal failures
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         for number in numbers:
             due = begun + number / rate
             await asyncio.sleep(max(0.0, due - time.monotonic()))
             status, _ = await _ask(port, reader, writer, "/api/v1" + _PATHS[number % len(_PATHS)])
-            latencies.append(time.monotonic() - due)
+            into.append(time.monotonic() - due)
             failures += status != 200
         writer.close()
 
-    async def timer():
-        while True:
-            due = time.monotonic() + 0.005
-            await asyncio.sleep(0.005)
-            late.append(time.monotonic() - due)
-
-    probe = asyncio.create_task(timer())
-    await asyncio.gather(*(client() for _ in range(_CONNECTIONS)))
-    probe.cancel()
+    share = rate / _BARE_SHARE
+    wanted, beside = iter(range(round(rate * seconds))), iter(range(round(share * seconds)))
+    await asyncio.gather(
+        *(client(port, rate, wanted, latencies) for _ in range(_CONNECTIONS)),
+        *(client(bare, share, beside, fixed) for _ in range(_CONNECTIONS // _BARE_SHARE)),
+    )
     return {
         "requests": len(latencies),
         "per_second": round(len(latencies) / (time.monotonic() - begun), 1),
@@ -136,7 +155,9 @@ async def _reads(port, rate, seconds):
         "p50_ms": _at(latencies, 0.5),
         "p99_ms": _at(latencies, 0.99),
         "max_ms": _at(latencies, 1.0),
-        "timer_p99_ms": _at(late, 0.99),
+        "bare_p50_ms": _at(fixed, 0.5),
+        "bare_p99_ms": _at(fixed, 0.99),
+        "bare_max_ms": _at(fixed, 1.0),
     }
 
 
@@ -171,7 +192,7 @@ def _lock(path, seconds):
     other.close()
 
 
-async def _measure(port, directory, rate, seconds, blocked, stalled):
+async def _measure(port, bare, directory, rate, seconds, blocked, stalled):
     result = {}
     end = time.monotonic() + 120
     while True:
@@ -181,14 +202,14 @@ async def _measure(port, directory, rate, seconds, blocked, stalled):
         if time.monotonic() > end:
             raise SystemExit((directory / "log").read_text())
         await asyncio.sleep(0.2)
-    result["reads"] = await _reads(port, rate, seconds)
+    result["reads"] = await _reads(port, bare, rate, seconds)
     hook = json.dumps({"url": stalled.url}).encode()
     await _one(port, "/api/v1/webhooks", "POST", hook)
     async with _stalled_stream(port):
-        result["stalled receiver and stream"] = await _reads(port, rate, seconds)
+        result["stalled receiver and stream"] = await _reads(port, bare, rate, seconds)
         before = await _rigs(port)
         lock = asyncio.create_task(asyncio.to_thread(_lock, directory / "var" / "creak.db", blocked))
-        result["and the store locked"] = await _reads(port, rate, max(seconds, blocked + 5))
+        result["and the store locked"] = await _reads(port, bare, rate, max(seconds, blocked + 5))
         await lock
     await asyncio.sleep(3)
     after = await _rigs(port)
@@ -213,15 +234,15 @@ def measure(rate=200.0, seconds=20.0, blocked=10.0):
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
         process = service(directory, port)
+        beside = subprocess.Popen([sys.executable, "-c", _BARE], stdout=subprocess.PIPE)
         try:
-            return asyncio.run(_measure(port, directory, rate, seconds, blocked, stalled))
+            bare = int(beside.stdout.readline())
+            result = asyncio.run(_measure(port, bare, directory, rate, seconds, blocked, stalled))
+            return {**result, "load average": [round(load, 2) for load in os.getloadavg()]}
         finally:
-            process.send_signal(signal.SIGTERM)
-            try:
-                process.wait(20)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            beside.kill()
+            beside.communicate()
+            end(process)
 
 
 def main():

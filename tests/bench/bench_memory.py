@@ -1,4 +1,4 @@
-"""Memory of the service over rig time: one rig at the highest pace, resident set against recorded time.
+"""Memory of the service over rig time: one rig at the highest pace, its processes' resident sets together.
 
 After a warm-up (the first quarter of the rig time) it must stay flat; what is told is its slope from there, by
 least squares, and its range.
@@ -7,9 +7,7 @@ least squares, and its range.
 import argparse
 import asyncio
 import json
-import signal
 import socket
-import subprocess
 import sys
 import tempfile
 import time
@@ -21,14 +19,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench import bench_load
-
-
-def _resident(process):
-    """Resident set, MiB."""
-    for line in Path(f"/proc/{process}/status").read_text().splitlines():
-        if line.startswith("VmRSS:"):
-            return int(line.split()[1]) / 1024
-    raise ProcessLookupError(process)
+from processes import resident
 
 
 async def _watch(process, port, hours, seconds):
@@ -44,7 +35,7 @@ async def _watch(process, port, hours, seconds):
             continue
         if rig["last"] is not None:
             span = datetime.fromisoformat(rig["last"]) - datetime.fromisoformat(rig["start"])
-            points.append((span.total_seconds() / 3600, _resident(process.pid)))
+            points.append((span.total_seconds() / 3600, resident(process.pid)))
             counts = {name: rig[name] for name in ("realisations", "frames", "rejected_frames", "faults")}
     return points, counts
 
@@ -60,12 +51,7 @@ def measure(hours=1.0, seconds=600.0):
         try:
             points, counts = asyncio.run(_watch(process, port, hours, seconds))
         finally:
-            process.send_signal(signal.SIGTERM)
-            try:
-                process.wait(20)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            bench_load.end(process)
         took = time.monotonic() - begun
     at, size = np.array(points).T
     warm = at >= at[-1] / 4

@@ -15,6 +15,7 @@ import pytest
 
 from creak.records import AlarmChange, Frame
 from creak.sources.recording import Recording
+from processes import children
 
 CREAK = [sys.executable, "-m", "creak.cli"]
 DEADLINE = 120.0  # seconds after which something hangs; not a figure
@@ -235,6 +236,25 @@ def test_kill_9_loses_at_most_the_open_period_and_one_second(serve, place):
     assert killed - (frames[-1].time + period) < 1e9 + period + 1e9
     numbers = [(f.realisation, f.experiment, f.period) for f in frames]
     assert numbers == [(i // 8, i // 4 % 2, i % 4) for i in range(len(frames))]  # none is missing before
+
+
+def test_an_api_that_dies_comes_back_and_one_whose_service_dies_goes(serve):
+    """Kills an API that takes the measuring with it, and one that keeps the address of a service that was killed."""
+    process, client = serve(pace=20.0)
+    before = client.get("/api/v1/rigs/small").json()
+    (api,) = children(process.pid)
+    os.kill(api, signal.SIGKILL)
+    client.close()
+    with httpx.Client(base_url=client.base_url, timeout=10) as client:
+        after = wait_for("the API answers again", lambda: client.get("/api/v1/rigs/small").json(), process)
+        assert after["run"] == before["run"]
+        assert after["frames"] > before["frames"]
+        (api,) = children(process.pid)
+    process.kill()
+    process.communicate()
+    wait_for("the API's end", lambda: not os.path.exists(f"/proc/{api}"))
+    with socket.create_server(("127.0.0.1", client.base_url.port)):
+        pass
 
 
 def test_a_port_in_use_is_one_line_and_touches_nothing(started, place):

@@ -17,8 +17,9 @@ from typing import Annotated
 
 import typer
 
-from creak.api import Server, create_app, listen_on
+from creak.api import listen_on
 from creak.api.access import Access
+from creak.api.process import ApiProcess, ApiSettings
 from creak.cli.canlibraries import can_support
 from creak.cli.display import LiveLevels
 from creak.cli.recordings import replay_line
@@ -269,7 +270,8 @@ def _run(
     models = {
         name: table.model for name, table in zip(names, settings.rigs, strict=True) if table.model is not None
     }
-    app = create_app(store, rigs_expected=names, access=_access(settings, listener, store), models_of=models)
+    access = _access(settings, listener, store)
+    api = ApiProcess(ApiSettings(settings.store_url, names, access, models), listener)
     jobs = settings.jobs
     runner = JobRunner(store, settings.data / "jobs", at_once=jobs.at_once, max_seconds=jobs.max_seconds)
     try:
@@ -281,8 +283,9 @@ def _run(
         host, port, *_ = listener.getsockname()
         _log.info("listening on http://%s:%s", host, port)
         with contextlib.suppress(KeyboardInterrupt):
-            Server(app, listener).listen()
+            api.run()
     finally:
+        api.end()
         deadline = time.monotonic() + _STOP_SECONDS
         for source in sources:
             source.close()
@@ -291,6 +294,7 @@ def _run(
         deliverer.stop(max(0.5, deadline - time.monotonic()))
         upkeep.stop()
         runner.stop(max(0.1, deadline - time.monotonic()))
+        api.wait(max(0.1, deadline - time.monotonic()))
         store.close()
     for worker, recorder in zip(workers, recorders, strict=True):
         if worker.end is not None and recorder.paths:
