@@ -1,6 +1,7 @@
 """All that is kept of realisations, and all that is said from it: levels, detection lines, remarks."""
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -42,7 +43,16 @@ class Block:
         return Block(self.sums + other.sums, self.excited + other.excited, self.left_out + other.left_out)
 
 
-def judged(rig: Rig, block: Block, scope: Scope, last: Realisation) -> Estimate:
+class Last(Protocol):
+    """What an estimate has to know of the last realisation in it: its index, and the recorded time of its end."""
+
+    @property
+    def index(self) -> int: ...  # noqa: D102 - as the class says
+    @property
+    def end(self) -> int: ...  # noqa: D102
+
+
+def judged(rig: Rig, block: Block, scope: Scope, last: Last) -> Estimate:
     """Estimate from a block, with detection lines, the test of given edges, and remarks.
 
     Parameters
@@ -50,8 +60,8 @@ def judged(rig: Rig, block: Block, scope: Scope, last: Realisation) -> Estimate:
     rig : Rig
     block : Block
     scope : Scope
-    last : Realisation
-        The last one in the block.
+    last : Last
+        The last realisation in the block.
     """
     chosen = reference(block.sums, tuple(node.name for node in rig.nodes))
     levels = estimate(rig, chosen.sums, scope, last.end, last.index)

@@ -13,8 +13,9 @@ from creak import alarms, baseline
 from creak.alarm_records import Action, ActionKind, Clock, Conflict, Verdict
 from creak.alarms import quality
 from creak.baseline import Baseline
-from creak.judgement import Block, judged
-from creak.quality import Watch
+from creak.digests import Digest
+from creak.judgement import Block, Last, judged
+from creak.quality import Flaw, Watch
 from creak.realisations import Collector, Realisation
 from creak.records import (
     AlarmChange,
@@ -57,6 +58,28 @@ class Memory:
     quality: quality.Quality
     baselines: tuple[Baseline, ...]
     blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """What a monitor has to know to go on in the middle of a run that is told by digests.
+
+    Parameters
+    ----------
+    memory : Memory
+    whole : Block or None
+        Sums of all complete realisations of the run.
+    transient, steady : int
+        Frames that were judged.
+    faults : mapping of str to int
+        By kind.
+    """
+
+    memory: Memory
+    whole: Block | None
+    transient: int
+    steady: int
+    faults: Mapping[str, int]
 
 
 class Monitor:
@@ -104,6 +127,22 @@ class Monitor:
             baselines=self._baselines,
             blocks=tuple(self._blocks),
         )
+
+    @property
+    def checkpoint(self) -> Checkpoint:
+        """All that a monitor needs to go on with the next digest of the same run."""
+        return Checkpoint(self.memory, self._whole, self._transient, self._steady, dict(self._faults))
+
+    @classmethod
+    def resumed(cls, run: Run, checkpoint: Checkpoint) -> "Monitor":
+        """Make the monitor of a checkpoint, which goes on as the one would that left it."""
+        memory = checkpoint.memory
+        monitor = cls(run, memory)
+        monitor._quality, monitor._baselines, monitor._time = memory.quality, memory.baselines, memory.time
+        monitor._whole = checkpoint.whole
+        monitor._transient, monitor._steady = checkpoint.transient, checkpoint.steady
+        monitor._faults = Counter(checkpoint.faults)
+        return monitor
 
     @property
     def baselines(self) -> tuple[Baseline, ...]:
@@ -164,6 +203,34 @@ class Monitor:
         if collected.realisation is not None:
             outcomes += self._complete(collected.realisation)
         return outcomes
+
+    def take_digest(self, digest: Digest) -> list[Outcome]:
+        """Take a realisation that was gathered elsewhere, told by its sums.
+
+        Faults that say that nothing comes any more are counted only: whether the rig is silent is known from the
+        times up to which it was heard (:meth:`hear`), which come as they happen.
+
+        Returns
+        -------
+        list
+            Faults, estimates and alarm changes, as `take` gives them for the frames.
+        """
+        self._transient += digest.transient
+        self._steady += digest.steady
+        self._faults.update(digest.counts)
+        outcomes: list[Outcome] = list(digest.faults)
+        if digest.transient or digest.steady:
+            outcomes += self.hear(digest.end)
+        outcomes += self._left_out(digest.faults)
+        if digest.block is not None:
+            outcomes += self._judge(digest, digest.block, digest.flaws)
+        return outcomes
+
+    def hear(self, until: int) -> list[Outcome]:
+        """Take note that frames have come without a break until a recorded time, ns since the Unix epoch."""
+        since = max(self.run.start, until - round(self.run.rig.period_ns))
+        self._quality, changes = quality.heard(self._quality, self.run, since, until)
+        return [*changes, *self._advance(until)]
 
     def act(self, action: Action) -> tuple[AlarmChange, ...] | Conflict:
         """Do what an operator asks for, at the recorded time that the monitor has come to.
@@ -236,10 +303,11 @@ class Monitor:
         return outcomes
 
     def _complete(self, realisation: Realisation) -> list[Outcome]:
+        return self._judge(realisation, Block.of(realisation, self.run.rig.q), self._watch.judge(realisation))
+
+    def _judge(self, realisation: Last, block: Block, flaws: tuple[Flaw, ...]) -> list[Outcome]:
         rig = self.run.rig
-        flaws = self._watch.judge(realisation)
         told = self._note(*(flaw.fault for flaw in flaws))
-        block = Block.of(realisation, rig.q)
         self._blocks.append(block)
         self._whole = block if self._whole is None else self._whole + block
         window = judged(rig, reduce(add, self._blocks), Scope.WINDOW, realisation)
@@ -267,7 +335,7 @@ class Monitor:
             return None
         return sum(each) / len(each)
 
-    def _compare(self, level: NodeLevel, rms: float, realisation: Realisation) -> dict[str, Verdict]:
+    def _compare(self, level: NodeLevel, rms: float, realisation: Last) -> dict[str, Verdict]:
         """Compare a node with its baseline for the operating state, and learn."""
         rules = self.run.baseline
         known = baseline.find(self._baselines, level.name, rms, rules.state_tolerance_db)

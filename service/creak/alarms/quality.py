@@ -84,14 +84,18 @@ def stopped(quality: Quality, run: Run, time: int) -> Stepped:
 def frame(quality: Quality, run: Run, taken: Frame) -> Stepped:
     """Take note of a frame that came."""
     quality, changes = clock(quality, run, taken.time)
-    end = taken.time + round(run.rig.period_ns)
-    heard = end if quality.heard is None else max(quality.heard, end)
-    completed = taken.time if quality.completed is None else quality.completed
-    quality = replace(quality, heard=heard, completed=completed)
+    quality, more = heard(quality, run, taken.time, taken.time + round(run.rig.period_ns))
+    return quality, changes + more
+
+
+def heard(quality: Quality, run: Run, time: int, end: int) -> Stepped:
+    """Take note that frames came from one recorded time to another, whatever lay before them."""
+    last = end if quality.heard is None else max(quality.heard, end)
+    completed = time if quality.completed is None else quality.completed
+    quality = replace(quality, heard=last, completed=completed)
     if _stands(quality, "silence"):
-        quality, more = _demand(quality, run, "silence", "", False, taken.time)
-        changes += more
-    return quality, changes
+        return _demand(quality, run, "silence", "", False, time)
+    return quality, ()
 
 
 def closed(

@@ -11,7 +11,7 @@ from creak.codec.json_face import (
     summary_json,
     time_json,
 )
-from creak.codec.memory import memory_bytes, memory_of
+from creak.codec.memory import memory_bytes, memory_of, packed, unpacked
 from creak.codec.protobuf import (
     Closing,
     Opening,
@@ -65,12 +65,14 @@ __all__ = [
     "node_json",
     "opening_of",
     "opening_text",
+    "packed",
     "parse_time",
     "spectrum_json",
     "spectrum_topic",
     "summary_json",
     "time_json",
     "topics",
+    "unpacked",
     "view_schemas",
     "view_topics",
     "views",

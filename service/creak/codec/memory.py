@@ -1,14 +1,15 @@
-"""What a monitor has to know after a restart as bytes, and back.
+"""What monitors keep and tell each other as bytes, and back: memories, checkpoints, digests, sums.
 
 A JSON text that names every record and field, and behind it the bytes of the arrays that it refers to. Only the
-records listed here are ever made from it, so a store that somebody else can write to is no way into the process.
+records listed here are ever made from it, so a store or a broker that somebody else can write to is no way into
+the process.
 """
 
 import dataclasses
 import json
 from collections.abc import Callable, Mapping
 from enum import Enum
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,25 +20,31 @@ from creak.alarms.quality import Quality
 from creak.alarms.table import Facts
 from creak.baseline import Baseline
 from creak.detection import LineSums
+from creak.digests import Digest
 from creak.errors import RecordingError
 from creak.judgement import Block
-from creak.monitor import Memory
+from creak.monitor import Checkpoint, Memory
+from creak.quality import Flaw
+from creak.records import Fault, FaultKind, Frame, FrameStatus
 from creak.statistics import Sums
 from creak.trend import Trend
 
 _RECORDS: Mapping[str, type[Any]] = {
     kind.__name__: kind
-    for kind in (Memory, NodeAlarm, Watch, Alarm, Facts, Quality, Baseline, Trend, Sums, Block, LineSums)
-}
-_ENUMS: Mapping[str, type[Enum]] = {kind.__name__: kind for kind in (Verdict,)}
+    for kind in (
+        Memory, NodeAlarm, Watch, Alarm, Facts, Quality, Baseline, Trend, Sums, Block, LineSums,
+        Checkpoint, Digest, Flaw, Fault, Frame,
+    )
+}  # fmt: skip
+_ENUMS: Mapping[str, type[Enum]] = {kind.__name__: kind for kind in (Verdict, FaultKind, FrameStatus)}
 _FORMAT = 2
+
+_T = TypeVar("_T", Memory, Checkpoint, Digest, Block)
 
 
 def memory_bytes(memory: Memory) -> bytes:
     """Write a memory as bytes."""
-    arrays: list[bytes] = []
-    text = json.dumps({"format": _FORMAT, "memory": _plain(memory, arrays)}, separators=(",", ":")).encode()
-    return len(text).to_bytes(8, "little") + text + b"".join(arrays)
+    return packed(memory)
 
 
 def memory_of(data: bytes) -> Memory:
@@ -48,10 +55,28 @@ def memory_of(data: bytes) -> Memory:
     RecordingError
         If they are none of this version's; a monitor then begins afresh.
     """
-    memory = _read(data, lambda document: document)
-    if not isinstance(memory, Memory):
-        raise RecordingError("a monitor's state that is none")
-    return memory
+    return unpacked(Memory, data)
+
+
+def packed(value: Memory | Checkpoint | Digest | Block) -> bytes:
+    """Write a record as bytes."""
+    arrays: list[bytes] = []
+    text = json.dumps({"format": _FORMAT, "memory": _plain(value, arrays)}, separators=(",", ":")).encode()
+    return len(text).to_bytes(8, "little") + text + b"".join(arrays)
+
+
+def unpacked(kind: type[_T], data: bytes) -> _T:
+    """Read a record of a kind from bytes.
+
+    Raises
+    ------
+    RecordingError
+        If they are none of this version's, or of another kind.
+    """
+    value = _read(data, lambda document: document)
+    if not isinstance(value, kind):
+        raise RecordingError(f"{len(data)} bytes that are no {kind.__name__} of a monitor")
+    return value
 
 
 def baselines_of(data: bytes) -> tuple[Baseline, ...]:
@@ -99,7 +124,7 @@ def _plain(value: Any, arrays: list[bytes]) -> Any:
         return ["map", *([_plain(key, arrays), _plain(item, arrays)] for key, item in value.items())]
     name = type(value).__name__
     if _RECORDS.get(name) is not type(value):
-        raise TypeError(f"{name} is not part of a monitor's memory")
+        raise TypeError(f"{name} is none of the records that monitors keep and tell")
     fields = {f.name: _plain(getattr(value, f.name), arrays) for f in dataclasses.fields(value)}
     return ["record", name, fields]
 
