@@ -11,6 +11,7 @@ import pytest
 from creak.config.rig import parse_rig
 from creak.config.service import parse_service
 from creak.config.validation import parse_toml
+from recorded import records, write
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -42,6 +43,13 @@ def test_examples_run(block, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("block", blocks("python"), ids=lambda block: block.split("\n")[0][:30])
+def test_notebook_examples_run(block, tmp_path, monkeypatch):
+    write(tmp_path / "three-mass.mcap", records())
+    monkeypatch.chdir(tmp_path)
+    exec(block, {})
 
 
 def test_example_files_are_accepted(tmp_path):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import typer
 
-from creak.cli import bench, diagnose, excitation, keys, paper, recordings, rig, service
+from creak.cli import bench, diagnose, excitation, export, keys, paper, recordings, rig, service
 from creak.errors import CreakError, InputError
 
 # typer carries a click of its own and exports this one of its errors; what it derives from are all the others.
@@ -20,6 +20,7 @@ app = typer.Typer(
 )
 service.add_to(app)
 recordings.add_to(app)
+export.add_to(app)
 bench.add_to(app)
 paper.add_to(app)
 excitation.add_to(app)

@@ -16,7 +16,7 @@ from creak.sources.measurement_checks import listing, shown
 # Relative. An increment printed with six digits, as UFF has it, is right to 5e-6.
 RATE_TOLERANCE = 1e-4
 
-_LABEL = re.compile(r"(?P<channel>[uy]:.*?)\s*(?:\[(?P<unit>[^\]]*)\])?")
+_LABEL = re.compile(r"(?P<channel>[uy]:.*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
 
 
 def channel_units(rig: Rig) -> dict[str, str]:
