@@ -1,4 +1,4 @@
-"""Recordings as a notebook sees them: arrays, times, levels and alarms as they were recorded, also of a cut file."""
+"""Recordings as a notebook sees them: arrays, times, levels and alarms as recorded, also of a cut file."""
 
 from pathlib import Path
 
