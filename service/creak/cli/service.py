@@ -23,6 +23,7 @@ from creak.api.process import ApiProcess, ApiSettings
 from creak.cli.canlibraries import can_support
 from creak.cli.display import LiveLevels
 from creak.cli.recordings import replay_line
+from creak.cli.supervision import Supervisor
 from creak.codec import memory_of
 from creak.config.can import CanSource
 from creak.config.model import load_model
@@ -249,10 +250,11 @@ def _run(
         Recorder(settings.data, max_bytes=limits.max_bytes, max_seconds=limits.max_seconds) for _ in sources
     ]
     desks = [BackgroundStore(store, StoreSink(store)) for _ in sources]
+    supervisor = Supervisor()
     workers = [
         Worker(
             source,
-            [desk, CataloguedRecorder(recorder, store, desk.do), *more],
+            [desk, CataloguedRecorder(recorder, store, desk.do), *more, supervisor.watch(source.run.rig.name)],
             desk=desk,
             memory=_memory(store, source.run),
         )
@@ -282,9 +284,11 @@ def _run(
         runner.start()
         host, port, *_ = listener.getsockname()
         _log.info("listening on http://%s:%s", host, port)
+        supervisor.ready()
         with contextlib.suppress(KeyboardInterrupt):
             api.run()
     finally:
+        supervisor.stopping()
         api.end()
         deadline = time.monotonic() + _STOP_SECONDS
         for source in sources:
