@@ -1,6 +1,7 @@
 """Steady state solved for: against time stepping and an independent integrator, and where there is none."""
 
 from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -192,6 +193,18 @@ def test_a_guess_and_company_do_not_change_the_answer():
     again = simulate_steady(system, u, FS, "band-limited", oversampling=1, guess=together.motion)
     np.testing.assert_allclose(again.y, together.y, atol=1e-7 * np.abs(together.y).max())
     assert again.iterations.max() <= 3
+
+
+@pytest.mark.parametrize("present", [EVERY_LAW[:1], EVERY_LAW[3:6]], ids=["cubic", "stop and friction"])
+def test_the_number_of_threads_changes_no_bit(present):
+    """Experiments are solved in threads; each must come out as if it had been solved alone after the others."""
+    system, u = make_system(*present), multisine(7)
+    one = simulate_steady(system, u, FS, "band-limited")
+    for threads in (1, 2, 5):
+        with ThreadPoolExecutor(threads) as pool:
+            other = simulate_steady(system, u, FS, "band-limited", each=pool.map)
+        np.testing.assert_array_equal(other.y, one.y)
+        np.testing.assert_array_equal(other.iterations, one.iterations)
 
 
 @pytest.mark.parametrize("effect", EVERY_LAW, ids=lambda e: e.effect)

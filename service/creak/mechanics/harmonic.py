@@ -8,12 +8,15 @@ their receptance ``H = Bᵀ S B`` and the lines F of their forces. Taking an equ
     D = P (D_lin - H (F(d) - K_eq D))        P = (I + H K_eq)⁻¹
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import scipy.fft
 from scipy.sparse.linalg import LinearOperator, gmres
 
+from creak.compiling import compiled
+from creak.mechanics import laws
 from creak.mechanics.effects import Restoring
 from creak.mechanics.tangents import force_change
 from creak.records import Complex, Real
@@ -21,6 +24,8 @@ from creak.records import Complex, Real
 DEPTH: Final = 6  # earlier iterates that Anderson's acceleration combines
 FIXED_POINT_STEPS: Final = 60
 EQUIVALENT_STEPS: Final = 12
+ALIKE: Final = 0.02  # change of an equivalent linear element that makes no better map
+FITTED: Final = 4  # experiments that equivalent linear elements are fitted to
 NEWTON_STEPS: Final = 40
 KRYLOV_STEPS: Final = 80
 PATIENCE: Final = 6  # Newton steps that must at least halve the residual
@@ -34,38 +39,37 @@ class Problem:
     Parameters
     ----------
     elements : tuple of Restoring, (r,)
+    size : int
+        Samples a period, N.
     receptance : array, (L, r, r)
         H at the lines 0..N/2.
     jw : array, (L,)
         1/s; 0 at the Nyquist line, whose derivative no samples hold.
     linear : array, (E, r, L)
         D_lin, DFT divided by N.
-    rate : array, (E, r, N)
+    rate : array, (E, r, N), or None
         What the velocity has beside the derivative of the displacement's lines (held inputs).
     """
 
     elements: tuple[Restoring, ...]
+    size: int
     receptance: Complex
     jw: Complex
     linear: Complex
-    rate: Real
-
-    @property
-    def size(self) -> int:
-        """Samples a period."""
-        return int(self.rate.shape[-1])
+    rate: Real | None
 
     def samples(self, lines: Complex) -> Real:
         """Time course of lines."""
-        return np.asarray(np.fft.irfft(lines * self.size, n=self.size))
+        return np.asarray(scipy.fft.irfft(lines, n=self.size, norm="forward"))
 
     def lines(self, samples: Real) -> Complex:
         """Lines of a time course."""
-        return np.fft.rfft(samples) / self.size
+        return np.asarray(scipy.fft.rfft(samples, norm="forward"))
 
     def motion(self, D: Complex, which: slice | int = slice(None)) -> tuple[Real, Real]:
         """Displacement and velocity over a period."""
-        return self.samples(D), self.samples(self.jw * D) + self.rate[which]
+        velocity = self.samples(self.jw * D)
+        return self.samples(D), velocity if self.rate is None else velocity + self.rate[which]
 
     def forces(self, d: Real, v: Real) -> Real:
         """Forces of the elements, ``(..., r, N)``."""
@@ -73,6 +77,13 @@ class Problem:
         for e, element in enumerate(self.elements):
             out[..., e, :] = element.over_period(d[..., e, :], v[..., e, :])
         return out
+
+    def forces_at(self, D: Complex, which: int) -> Complex:
+        """Lines of the forces at a motion, both ``(r, L)``; no velocity is made where no law asks for it."""
+        if any(element.law in laws.OF_VELOCITY for element in self.elements):
+            return self.lines(self.forces(*self.motion(D, which)))
+        d = self.samples(D)
+        return self.lines(self.forces(d, d))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,37 +94,57 @@ class Equivalent:
     ----------
     law : array, (L, r)
         ``k_eq + jw c_eq``.
-    free : array, (L, r, r)
-        P.
     forced : array, (L, r, r)
         P H.
+    motion : array, (E, r, L)
+        ``P D_lin``, the motion with the equivalent linear elements.
     """
 
     law: Complex
-    free: Complex
     forced: Complex
+    motion: Complex
 
-    def image(self, problem: Problem, D: Complex, which: slice | int = slice(None)) -> Complex:
-        """One application of the map to lines ``(..., r, L)``."""
-        F = problem.lines(problem.forces(*problem.motion(D, which)))
-        law = self.law.T
-        return _apply(self.free, problem.linear[which]) - _apply(self.forced, F - law * D)
+    def rest(self, problem: Problem, D: Complex, which: int) -> Complex:
+        """By how much one application of the map moves the lines ``(r, L)``."""
+        return _rest(self.motion[which], self.forced, self.law, D, problem.forces_at(D, which))
+
+    def balanced(self, D: Complex, F: Complex, which: int) -> Complex:
+        """Lines of the elements' forces F at a motion D, both ``(r, L)``, corrected by one application of the map.
+
+        Where a structure is held by its elements alone, its mean motion is what tiny forces make of a huge
+        receptance: with the corrected ones it is as exact as the elements' motion is, and not as the forces are.
+        """
+        return F + self.law.T * _rest(self.motion[which], self.forced, self.law, D, F)
 
 
-def _apply(matrix: Complex, lines: Complex) -> Complex:
+@compiled
+def _rest(motion: Complex, forced: Complex, law: Complex, D: Complex, F: Complex) -> Complex:
+    r, size = D.shape
+    rest = motion - D
+    for j in range(r):
+        for line in range(size):
+            beyond = F[j, line] - law[line, j] * D[j, line]
+            for i in range(r):
+                rest[i, line] -= forced[line, i, j] * beyond
+    return rest
+
+
+def apply(matrix: Complex, lines: Complex) -> Complex:
+    """Product of matrices ``(L, i, j)`` with lines ``(..., j, L)``."""
     return np.asarray(np.einsum("lij,...jl->...il", matrix, lines))
 
 
 def equivalent(problem: Problem, k: Real, c: Real) -> Equivalent:
     """Prepare the map for given equivalent stiffnesses and dampings, ``(r,)`` each."""
     law = np.asarray(k + problem.jw[:, None] * c, dtype=np.complex128)
-    free = np.linalg.inv(np.eye(len(k)) + problem.receptance * law[:, None, :])
-    return Equivalent(law, np.asarray(free, dtype=np.complex128), free @ problem.receptance)
+    whole = np.eye(len(k)) + problem.receptance * law[:, None, :]
+    free = np.asarray(np.linalg.inv(whole), dtype=np.complex128)
+    return Equivalent(law, np.ascontiguousarray(free @ problem.receptance), apply(free, problem.linear))
 
 
-def fitted(problem: Problem, D: Complex) -> tuple[Real, Real]:
-    """Least squares of the forces on displacement and velocity, over all experiments; ``(r,)`` each."""
-    d, v = problem.motion(D)
+def fitted(problem: Problem, D: Complex, which: slice = slice(None)) -> tuple[Real, Real]:
+    """Least squares of the forces on displacement and velocity, over experiments; ``(r,)`` each."""
+    d, v = problem.motion(D, which)
     f = problem.forces(d, v)
     axes = (0, 2)
     d = d - d.mean(axis=-1, keepdims=True)
@@ -125,96 +156,151 @@ def fitted(problem: Problem, D: Complex) -> tuple[Real, Real]:
 def linearised(problem: Problem, D: Complex | None) -> tuple[Complex, Equivalent]:
     """Motion and map of the equivalent linear elements that reproduce themselves.
 
+    They are fitted to a few of the experiments: they only serve as a start and a map, and all experiments are
+    of one kind.
+
     Parameters
     ----------
     problem : Problem
     D : array, (E, r, L), or None
         Motion to take the elements' linear part from; None to find both, beginning with no elements.
     """
+    experiments = len(problem.linear)
+    few = slice(0, None, -(-experiments // FITTED))
     if D is not None:
-        return D, equivalent(problem, *fitted(problem, D))
+        return D, equivalent(problem, *fitted(problem, D[few], few))
     # Half a step in the logarithm: a stiff element seen at the motion of a free structure is far too stiff.
     k = np.zeros(len(problem.elements))
     c = np.zeros_like(k)
-    D = problem.linear
+    rate = None if problem.rate is None else problem.rate[few]
+    part = replace(problem, linear=problem.linear[few], rate=rate)
+    motion = part.linear
     scale = 1.0 / np.maximum(np.abs(problem.receptance[1:]).max(axis=0).diagonal(), 1e-300)
     for _ in range(EQUIVALENT_STEPS):
-        new_k, new_c = fitted(problem, D)
+        before = k, c
+        new_k, new_c = fitted(part, motion)
         k = _between(k, new_k, scale)
         c = _between(c, new_c, scale / np.abs(problem.jw[1]))
-        map_ = equivalent(problem, k, c)
-        D = _apply(map_.free, problem.linear)
-    return D, map_
+        motion = equivalent(part, k, c).motion
+        moved = np.maximum(np.abs(k - before[0]), np.abs(problem.jw[1] * (c - before[1])))
+        if (moved <= ALIKE * (np.abs(k) + scale)).all():
+            break
+    map_ = equivalent(problem, k, c)
+    return map_.motion, map_
 
 
 def _between(old: Real, new: Real, scale: Real) -> Real:
     return np.asarray(scale * np.sinh(0.5 * (np.arcsinh(old / scale) + np.arcsinh(new / scale))))
 
 
-def distance(problem: Problem, rest: Complex, D: Complex) -> Real:
-    """RMS of a rest relative to that of the motion, at the element where it is largest; ``(...)``."""
-    power = np.sum(np.abs(D) ** 2, axis=-1)
-    return np.asarray(np.sqrt(np.max(np.sum(np.abs(rest) ** 2, axis=-1) / np.maximum(power, 1e-300), axis=-1)))
+def distance(rest: Complex, D: Complex) -> float:
+    """RMS of a rest ``(r, L)`` relative to that of the motion, at the element where it is largest."""
+    return float(np.sqrt(np.max(_power(rest) / np.maximum(_power(D), 1e-300))))
 
 
-def fixed_point(problem: Problem, map_: Equivalent, D: Complex, tolerance: float) -> tuple[Complex, Real, int]:
-    """Iterate all experiments together, each with its own Anderson acceleration.
-
-    Returns
-    -------
-    D : array, (E, r, L)
-        The best iterate of every experiment.
-    residual : array, (E,)
-    iterations : int
-    """
-    best, best_residual = D.copy(), np.full(len(D), np.inf)
-    moves: list[Real] = []
-    rests: list[Real] = []
-    before: tuple[Complex, Complex] | None = None
-    begun = np.ones((len(D), 1, 1), dtype=bool)
-    step = 0
-    while step < FIXED_POINT_STEPS:
-        step += 1
-        rest = map_.image(problem, D) - D
-        residual = distance(problem, rest, D)
-        residual[~np.isfinite(residual)] = np.inf
-        better = residual < best_residual
-        best[better], best_residual[better] = D[better], residual[better]
-        if (best_residual <= tolerance).all() or not np.isfinite(residual).any():
-            break
-        if before is not None:
-            moves = [*moves[1 - DEPTH :], _flat(np.where(begun, D - before[0], 0.0))]
-            rests = [*rests[1 - DEPTH :], _flat(np.where(begun, rest - before[1], 0.0))]
-        before = (D, rest)
-        D = D + _accelerated(rest, moves, rests)
-        # An experiment that has run away begins again at its best iterate, and forgets the way there.
-        lost = residual > 10 * best_residual
-        begun = ~lost[:, None, None]
-        for past in (*moves, *rests):
-            past[lost] = 0.0
-        settled = best_residual <= tolerance
-        D[lost | settled] = best[lost | settled]
-    return best, best_residual, step
-
-
-def _accelerated(rest: Complex, moves: list[Real], rests: list[Real]) -> Complex:
-    """Step of every experiment that would cancel its rest, if rests changed along as they did before."""
-    if not rests:
-        return rest
-    flat = _flat(rest)
-    A = np.stack(rests, axis=-1)
-    gram = A.swapaxes(1, 2) @ A
-    # A ridge keeps nearly parallel differences from blowing the step up.
-    ridge = 1e-14 * np.trace(gram, axis1=1, axis2=2) + 1e-300
-    gram += ridge[:, None, None] * np.eye(len(rests))
-    weight = np.linalg.solve(gram, A.swapaxes(1, 2) @ flat[..., None])
-    step = flat[..., None] - (np.stack(moves, axis=-1) + A) @ weight
-    return np.ascontiguousarray(step[..., 0]).view(np.complex128).reshape(rest.shape)
+def _power(lines: Complex) -> Real:
+    flat = _flat(lines)
+    return np.asarray(np.einsum("ix,ix->i", flat, flat))
 
 
 def _flat(lines: Complex) -> Real:
-    """Lines as real vectors whose inner product is that of the time courses, but for a factor; ``(E, r L 2)``."""
-    return np.ascontiguousarray(lines).reshape(len(lines), -1).view(np.float64)
+    """Lines as real vectors whose inner product is that of the time courses, but for a factor; ``(r, 2 L)``."""
+    return np.ascontiguousarray(lines).view(np.float64)
+
+
+def fixed_point(
+    problem: Problem, map_: Equivalent, D: Complex, which: int, tolerance: float
+) -> tuple[Complex, float, int]:
+    """Iterate one experiment with Anderson's acceleration.
+
+    Parameters
+    ----------
+    problem, map_ : Problem, Equivalent
+    D : array, (r, L)
+        Where to begin.
+    which : int
+        Experiment.
+    tolerance : float
+
+    Returns
+    -------
+    D : array, (r, L)
+        The best iterate.
+    residual : float
+    iterations : int
+    """
+    best, least = D, np.inf
+    acceleration = _Acceleration(2 * D.size)
+    step = 0
+    while step < FIXED_POINT_STEPS:
+        step += 1
+        rest = map_.rest(problem, D, which)
+        residual = distance(rest, D)
+        if not np.isfinite(residual):
+            break
+        if residual < least:
+            best, least = D, residual
+        if residual <= tolerance:
+            break
+        if residual > 10 * least:
+            # It has run away: begin again at the best iterate, and forget the way there.
+            acceleration.forget()
+            D = best
+        else:
+            D = acceleration.next(D, rest)
+    return best, least, step
+
+
+class _Acceleration:
+    """Anderson's acceleration: steps that would cancel the rest if rests changed along as they did before.
+
+    Inner products are taken by `einsum`, whose sums, unlike BLAS', do not hang on the number of threads.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._rests = np.empty((DEPTH, size))  # changes of the rest
+        self._ways = np.empty((DEPTH, size))  # the same with the moves that they came from
+        self._gram = np.empty((DEPTH, DEPTH))
+        self.forget()
+
+    def forget(self) -> None:
+        self._known = 0
+        self._before: tuple[Complex, Complex] | None = None
+
+    def next(self, D: Complex, rest: Complex) -> Complex:
+        """Give the iterate after one with a rest, both ``(r, L)``."""
+        if self._before is not None:
+            slot = self._known % DEPTH
+            self._known += 1
+            self._rests[slot] = _flat(rest - self._before[1]).ravel()
+            self._ways[slot] = _flat(D - self._before[0]).ravel()
+            self._ways[slot] += self._rests[slot]
+            held = min(self._known, DEPTH)
+            products = np.einsum("kx,x->k", self._rests[:held], self._rests[slot])
+            self._gram[slot, :held] = self._gram[:held, slot] = products
+        self._before = D, rest
+        held = min(self._known, DEPTH)
+        if not held:
+            return D + rest
+        right = np.einsum("kx,x->k", self._rests[:held], _flat(rest).ravel())
+        gram = self._gram[:held, :held]
+        # A ridge keeps nearly parallel differences from blowing the step up.
+        ridge = 1e-14 * np.trace(gram) + 1e-300
+        weight = np.linalg.solve(gram + ridge * np.eye(held), right)
+        return (
+            _advanced(_flat(D).ravel(), _flat(rest).ravel(), self._ways, weight)
+            .view(np.complex128)
+            .reshape(D.shape)
+        )
+
+
+@compiled
+def _advanced(D: Real, rest: Real, ways: Real, weight: Real) -> Real:
+    out = D + rest
+    for k in range(weight.size):
+        for x in range(out.size):
+            out[x] -= weight[k] * ways[k, x]
+    return out
 
 
 def newton(
@@ -237,8 +323,8 @@ def newton(
     -------
     D, residual, iterations
     """
-    rest = map_.image(problem, D, which) - D
-    residual = float(distance(problem, rest, D))
+    rest = map_.rest(problem, D, which)
+    residual = distance(rest, D)
     past = [residual]
     while residual > tolerance and len(past) <= NEWTON_STEPS:
         if len(past) > PATIENCE and not residual < 0.5 * past[-PATIENCE - 1]:
@@ -247,15 +333,15 @@ def newton(
         share = 1.0
         while True:
             trial = D + share * direction
-            new_rest = map_.image(problem, trial, which) - trial
-            new = float(distance(problem, new_rest, D))
+            new_rest = map_.rest(problem, trial, which)
+            new = distance(new_rest, D)
             if new < (1 - 1e-3 * share) * residual or share < SHORTEST:
                 break
             share /= 2
         if not new < residual:
             break
         D, rest = trial, new_rest
-        residual = float(distance(problem, rest, D))
+        residual = distance(rest, D)
         past.append(residual)
     return D, residual, len(past)
 
@@ -275,7 +361,7 @@ def _newton_direction(
         df = np.empty(shape)
         for e, element in enumerate(problem.elements):
             df[e] = force_change(element.law, *element.constants(), d[e], v[e], f[e], dd[e], dv[e])
-        image = change + _apply(map_.forced, problem.lines(df) - map_.law.T * change)
+        image = change + apply(map_.forced, problem.lines(df) - map_.law.T * change)
         return np.asarray((problem.samples(image) / scale).ravel())
 
     operator = LinearOperator((d.size, d.size), matvec=jacobian, dtype=np.float64)

@@ -21,6 +21,9 @@ COULOMB: Final = 4
 QUADRATIC_DAMPING: Final = 5
 HYSTERESIS: Final = 6
 
+OF_VELOCITY: Final = frozenset({COULOMB, QUADRATIC_DAMPING})
+"""Laws that ask for the velocity."""
+
 
 @compiled
 def bouc_wen(path: float, z0: float, bound: float) -> float:

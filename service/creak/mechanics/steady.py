@@ -6,18 +6,20 @@ period error of a time step; what is left is the folding of harmonics above half
 the samples are refined until the forces' folded part no longer counts.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Final
+from functools import partial
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from creak.errors import SimulationError
 from creak.mechanics import harmonic
 from creak.mechanics.electronics import AT_REST
 from creak.mechanics.newmark import Stepper
+from creak.mechanics.periodic import check_stability, line_grid, linear_part, resampled, samples_of
 from creak.mechanics.system import System
 from creak.mechanics.tangents import force_change
 from creak.records import Complex, Hold, Real
@@ -28,6 +30,19 @@ MOST_SAMPLES: Final = 32768  # a period: no finer, but for periods that have mor
 WAITED: Final = 40  # periods of time stepping that give a last initial guess
 GIVEN_UP: Final = 2  # experiments that do not settle, after which no other is tried further
 PASSES: Final = 100  # periods within which an actuator's memory repeats itself
+
+# An iterate may run away; it is then found not to be finite.
+_UNHEEDED: Final = partial(np.errstate, over="ignore", invalid="ignore", divide="ignore")
+
+_Result = TypeVar("_Result")
+
+
+class Each(Protocol):
+    """Applies a function to every item and gives the results in their order, as `map` and a pool's `map` do."""
+
+    def __call__(self, function: Callable[[int], _Result], items: Iterable[int], /) -> Iterable[_Result]:
+        """Apply."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +92,7 @@ def simulate_steady(
     oversampling: int | None = None,
     tolerance: float = TOLERANCE,
     stopped: Callable[[], bool] = lambda: False,
+    each: Each = map,
 ) -> SteadyState:
     """Solve for the periodic responses of a system to periodic inputs.
 
@@ -98,6 +114,9 @@ def simulate_steady(
         For the residual.
     stopped : callable
         Asked between experiments whether to give up; what has not converged then counts as such.
+    each : callable
+        What experiments are solved by: `map`, one after the other, or the ``map`` of a pool of threads, whose
+        number changes no bit of the result.
 
     Returns
     -------
@@ -120,14 +139,14 @@ def simulate_steady(
     acting = _acting(system, u, sample_rate)
     if not system.elements:
         check_stability(system)
-        y = _samples(_linear_part(system, acting, sample_rate, hold)[0], u.shape[-1])
+        y = samples_of(linear_part(system, acting, sample_rate, hold).y, u.shape[-1])
         none = np.zeros((len(u), 0, u.shape[-1]))
         done = np.zeros(len(u), dtype=np.int64), np.zeros(len(u)), np.ones(len(u), dtype=bool)
         return SteadyState(_measured(system, y, sample_rate), none, none, *done, 1, 0.0)
     factor = oversampling or 1
     iterations = np.zeros(len(u), dtype=np.int64)
     while True:
-        solved = _solve(system, acting, sample_rate, hold, factor, guess, tolerance, stopped)
+        solved = _solve(system, acting, sample_rate, hold, factor, guess, tolerance, stopped, each)
         iterations += solved.iterations
         solved = replace(solved, iterations=iterations.copy())
         finer = 2 * factor
@@ -135,39 +154,6 @@ def simulate_steady(
         if oversampling is not None or enough or not solved.settled or stopped():
             return replace(solved, y=_measured(system, solved.y[..., ::factor], sample_rate))
         factor, guess = finer, solved.motion
-
-
-def check_stability(system: System) -> None:
-    """Refuse a system whose linear part has a growing motion.
-
-    Raises
-    ------
-    SimulationError
-        Frequency and growth of the fastest growing motion are named.
-    """
-    states, _ = _state_space(system)
-    poles = np.linalg.eigvals(states)
-    worst = poles[np.argmax(poles.real)]
-    # A free structure drifts: a double pole at 0, which rounding splits by the root of its precision.
-    if worst.real > 1e-6 * np.max(np.abs(poles)):
-        raise SimulationError(
-            f"the structure is unstable: a motion at {abs(worst.imag) / (2 * np.pi):.4g} Hz grows by a factor "
-            f"of {np.exp(min(worst.real, 700.0)):.4g} a second"
-        )
-
-
-def resampled(samples: Real, size: int) -> Real:
-    """Trigonometric polynomial through periodic samples, at another number of them; time runs last."""
-    old = samples.shape[-1]
-    if old == size:
-        return samples
-    lines = np.fft.rfft(samples) / old
-    kept = min(old, size) // 2 + 1
-    out = np.zeros((*samples.shape[:-1], size // 2 + 1), dtype=np.complex128)
-    out[..., :kept] = lines[..., :kept]
-    if min(old, size) % 2 == 0:
-        out[..., kept - 1] *= 0.5 if old < size else 2.0  # a Nyquist line is shared with its mirror image
-    return np.asarray(np.fft.irfft(out * size, n=size))
 
 
 def _acting(system: System, u: Real, sample_rate: float) -> Real:
@@ -196,59 +182,6 @@ def _measured(system: System, y: Real, sample_rate: float) -> Real:
     return out
 
 
-def _samples(lines: Complex, size: int) -> Real:
-    return np.asarray(np.fft.irfft(lines * size, n=size))
-
-
-def _lines(size: int, sample_rate: float) -> tuple[Real, Complex]:
-    """Frequencies of all lines, Hz, and the factor of differentiation there."""
-    frequencies = np.asarray(np.arange(size // 2 + 1) * (sample_rate / size), dtype=np.float64)
-    jw = np.asarray(2j * np.pi * frequencies, dtype=np.complex128)
-    if size % 2 == 0:
-        jw[-1] = 0.0
-    return frequencies, jw
-
-
-def _state_space(system: System) -> tuple[Real, Real]:
-    dof = len(system.mass)
-    below = np.linalg.solve(system.mass, np.hstack([-system.stiffness, -system.damping, system.inputs]))
-    states = np.vstack([np.eye(dof, 2 * dof, dof), below[:, : 2 * dof]])
-    return states, np.vstack([np.zeros_like(system.inputs), below[:, 2 * dof :]])
-
-
-def _linear_part(system: System, acting: Real, sample_rate: float, hold: Hold) -> tuple[Complex, Complex, Complex]:
-    """Lines of responses, elements' displacements and their velocities without the elements' forces."""
-    size = acting.shape[-1]
-    U = np.fft.rfft(acting) / size
-    frequencies, jw = _lines(size, sample_rate)
-    if hold == "band-limited":
-        motion = np.einsum("lij,ejl->eil", system.motion(frequencies, system.inputs), U)
-        parts = motion, 2j * np.pi * frequencies * motion, (2j * np.pi * frequencies) ** 2 * motion
-    else:
-        parts = _held(system, U, frequencies, sample_rate)
-    y = np.stack([system.outputs[m] @ parts[order] for m, order in enumerate(system.derivatives)], axis=1)
-    D, V = (system.incidence.T @ part for part in parts[:2])
-    if hold == "band-limited":
-        V = jw * D
-    return y, D, V
-
-
-def _held(system: System, U: Complex, frequencies: Real, sample_rate: float) -> tuple[Complex, Complex, Complex]:
-    """Displacement, velocity, acceleration at the samples under held inputs, exactly; before they jump."""
-    dof, q = system.inputs.shape
-    states, inputs = _state_space(system)
-    whole = np.zeros((2 * dof + q, 2 * dof + q))
-    whole[: 2 * dof] = np.hstack([states, inputs])
-    step = expm(whole / sample_rate)
-    z = np.exp(2j * np.pi * frequencies / sample_rate)
-    moved = z[:, None, None] * np.eye(2 * dof) - step[: 2 * dof, : 2 * dof]
-    if np.linalg.cond(moved[0].real) > 1e14:
-        moved[0] += 1e-12 * np.eye(2 * dof)  # a free structure has no static response
-    state = np.einsum("lij,ejl->eil", np.linalg.solve(moved, step[: 2 * dof, 2 * dof :]), U)
-    rate = states[dof:] @ state + inputs[dof:] @ (U / z)
-    return state[:, :dof], state[:, dof:], rate
-
-
 def _solve(
     system: System,
     acting: Real,
@@ -258,73 +191,90 @@ def _solve(
     guess: Real | None,
     tolerance: float,
     stopped: Callable[[], bool],
+    each: Each,
 ) -> SteadyState:
     """Solve at one refinement; responses at the refined samples, without sensors' effects."""
     size = acting.shape[-1] * factor
     fine = resampled(acting, size) if hold == "band-limited" else np.repeat(acting, factor, axis=-1)
     rate = sample_rate * factor
-    frequencies, jw = _lines(size, rate)
-    y, D, V = _linear_part(system, fine, rate, hold)
-    receptance = system.incidence.T @ system.motion(frequencies, system.incidence)
-    problem = harmonic.Problem(system.elements, receptance, jw, D, _samples(V - jw * D, size))
+    linear = linear_part(system, fine, rate, hold)
+    problem = harmonic.Problem(
+        system.elements, size, linear.receptance, line_grid(size, rate)[1], linear.D, linear.rate
+    )
     begin = None if guess is None else problem.lines(resampled(np.asarray(guess), size))
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+    with _UNHEEDED():
         D, map_ = harmonic.linearised(problem, begin)
-        D, residual, steps = harmonic.fixed_point(problem, map_, D, tolerance)
-        iterations = np.full(len(D), steps)
-        failed = 0
-        for e in np.flatnonzero(~(residual <= tolerance)):
-            # Where a few do not settle, the others are not worth the wait: the result says so in any case.
-            if failed >= GIVEN_UP or stopped():
-                break
-            D[e], residual[e], steps = harmonic.newton(problem, map_, D[e], int(e), tolerance)
-            iterations[e] += steps
-            if residual[e] <= tolerance:
-                continue
-            waited = _waited(system, acting[e], sample_rate, hold, stopped)
-            if waited is not None:
-                start = problem.lines(resampled(waited, size))
-                D[e], residual[e], steps = harmonic.newton(problem, map_, start, int(e), tolerance)
-                iterations[e] += steps
+    D = np.array(D)
+    experiments = range(len(D))
+    residual, iterations = np.empty(len(D)), np.empty(len(D), dtype=np.int64)
+
+    def fixed_point(e: int) -> tuple[Complex, float, int]:
+        with _UNHEEDED():
+            return harmonic.fixed_point(problem, map_, D[e], e, tolerance)
+
+    def newton(e: int, start: Complex) -> None:
+        with _UNHEEDED():
+            D[e], residual[e], steps = harmonic.newton(problem, map_, start, e, tolerance)
+        iterations[e] += steps
+
+    def newton_from_stepping(e: int) -> None:
+        waited = _waited(system, acting[e], sample_rate, hold, stopped)
+        if waited is not None:
+            newton(e, problem.lines(resampled(waited, size)))
+
+    for e, (lines, rest, steps) in zip(experiments, each(fixed_point, experiments), strict=True):
+        D[e], residual[e], iterations[e] = lines, rest, steps
+    failed = 0
+    for e in np.flatnonzero(~(residual <= tolerance)).tolist():
+        # Where a few do not settle, the others are not worth the wait: the result says so in any case.
+        if failed >= GIVEN_UP or stopped():
+            break
+        newton(e, D[e])
+        if not residual[e] <= tolerance:
+            newton_from_stepping(e)
             failed += int(not residual[e] <= tolerance)
-        for e in np.flatnonzero(_pushed_away(problem, D)):
-            # An unstable motion satisfies the equations too; what time stepping from rest comes to counts.
-            waited = _waited(system, acting[e], sample_rate, hold, stopped)
-            residual[e] = np.inf
-            if waited is not None:
-                start = problem.lines(resampled(waited, size))
-                D[e], residual[e], steps = harmonic.newton(problem, map_, start, int(e), tolerance)
-                iterations[e] += steps
-            if not residual[e] <= tolerance:
-                break
-        motion, velocity = problem.motion(D)
-        force = problem.forces(motion, velocity)
-        F = problem.lines(force)
-        y = y - np.einsum("lij,ejl->eil", system.receptance(frequencies, system.incidence), F)
-        return SteadyState(
-            _samples(y, size),
-            motion,
-            force,
-            iterations,
-            residual,
-            np.asarray(residual <= tolerance),
-            factor,
-            _folded(problem, map_, motion, velocity, F),
-        )
+    pushed = list(each(lambda e: _pushed_away(problem, D[e], e), experiments))
+    for e in np.flatnonzero(pushed).tolist():
+        # An unstable motion satisfies the equations too; what time stepping from rest comes to counts.
+        residual[e] = np.inf
+        newton_from_stepping(e)
+        if not residual[e] <= tolerance:
+            break
+
+    def finish(e: int) -> tuple[Real, Real, Real, float]:
+        with _UNHEEDED():
+            d, v = problem.motion(D[e], e)
+            f = problem.forces(d, v)
+            F = problem.lines(f)
+            moved = harmonic.apply(linear.response, map_.balanced(D[e], F, e))
+            y = samples_of(linear.y[e] - moved, size)
+            return y, d, f, _folded(problem, map_, d, v, F)
+
+    y, motion, force, folded = zip(*each(finish, experiments), strict=True)
+    return SteadyState(
+        np.array(y),
+        np.array(motion),
+        np.array(force),
+        iterations,
+        residual,
+        np.asarray(residual <= tolerance),
+        factor,
+        max(folded, default=0.0),
+    )
 
 
-def _pushed_away(problem: harmonic.Problem, D: Complex) -> NDArray[np.bool_]:
-    """Experiments in which an element at some time pushes away harder than the structure holds it, ``(E,)``."""
-    d, v = problem.motion(D)
-    f = problem.forces(d, v)
-    found = np.zeros(len(d), dtype=bool)
+def _pushed_away(problem: harmonic.Problem, D: Complex, e: int) -> bool:
+    """True if an element at some time pushes away harder than the structure holds it."""
+    with _UNHEEDED():
+        d, v = problem.motion(D, e)
+        f = problem.forces(d, v)
+    one, none = np.ones(problem.size), np.zeros(problem.size)
     for i, element in enumerate(problem.elements):
         held = problem.receptance[0, i, i].real
-        one, none = np.ones(problem.size), np.zeros(problem.size)
-        for e in range(len(d)):
-            slope = force_change(element.law, *element.constants(), d[e, i], v[e, i], f[e, i], one, none)
-            found[e] |= float(slope.min()) * held < -1.0
-    return found
+        slope = force_change(element.law, *element.constants(), d[i], v[i], f[i], one, none)
+        if float(slope.min()) * held < -1.0:
+            return True
+    return False
 
 
 def _waited(
@@ -353,14 +303,10 @@ def _waited(
 def _folded(
     problem: harmonic.Problem, map_: harmonic.Equivalent, motion: Real, velocity: Real, F: Complex
 ) -> float:
-    """Estimate what the forces' harmonics above the highest line, folded below it, make of the motion."""
+    """Estimate what harmonics of the forces above the highest line, folded below it, make of one experiment."""
     size = problem.size
-    fine = harmonic.Problem(
-        problem.elements, problem.receptance, problem.jw, problem.linear, np.empty((1, 2 * size))
-    )
-    force = fine.forces(resampled(motion, 2 * size), resampled(velocity, 2 * size))
-    folded = F - np.fft.rfft(force)[..., : size // 2 + 1] / (2 * size)
+    force = problem.forces(resampled(motion, 2 * size), resampled(velocity, 2 * size))
+    folded = F - scipy.fft.rfft(force, norm="forward")[..., : size // 2 + 1]
     if size % 2 == 0:
         folded[..., -1] = 0.0
-    moved = np.einsum("lij,ejl->eil", map_.forced, folded)
-    return float(np.max(harmonic.distance(problem, moved, problem.lines(motion)), initial=0.0))
+    return harmonic.distance(harmonic.apply(map_.forced, folded), problem.lines(motion))
