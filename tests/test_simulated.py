@@ -77,6 +77,38 @@ def test_a_realisation_does_not_depend_on_what_came_before():
     assert np.all(np.abs(long[10:] - changed[10:]).max(axis=(1, 2)) > 0)
 
 
+def test_the_number_of_threads_changes_no_bit():
+    """A sum whose order hung on the threads would make a recording of another machine another recording."""
+    runs = [make(realisations=5, snr_db=40.0, changes=[(2, CUBIC)], threads=threads) for threads in (1, 2, 5)]
+    one, *others = [responses(source) for source in runs]
+    assert len(one) == 5 * 2 * 5
+    for other in others:
+        np.testing.assert_array_equal(other, one)
+
+
+def test_what_fails_ahead_comes_in_its_turn():
+    """Realisations are simulated ahead: the frames of those before the one that fails are still had."""
+    unstable = replace(PAIR, effects=(Damping(("1", "ground"), -500.0),))
+    frames = make(realisations=4, changes=[(2, unstable)]).frames()
+    assert [next(frames).realisation for _ in range(20)] == [0] * 10 + [1] * 10
+    with pytest.raises(SimulationError, match="grows without bound"):
+        next(frames)
+
+
+def test_what_is_ahead_is_given_up_with_the_frames():
+    """Who takes no more frames must not wait for realisations that nobody wants."""
+    rig = replace(load_rig(BEAM / "rig.toml"), transient_periods=1)
+    source = SimulatedRig(
+        rig, load_model(BEAM / "model.toml"), steady_periods=40, rms=0.02, seed=1, substeps=1, threads=2
+    )
+    frames = source.frames()
+    next(frames)
+    begun = time.monotonic()
+    frames.close()
+    assert time.monotonic() - begun < 1.0
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("creak-simulation")]
+
+
 def test_noise_is_white_and_as_strong_as_asked_for():
     """The ratio in power and per node; fixed by the first realisation, also after the model has changed."""
     clean, noisy = (responses(make(realisations=3, snr_db=snr, changes=[(1, CUBIC)])) for snr in (None, 20.0))
@@ -149,7 +181,7 @@ def test_a_failing_simulation_reaches_the_caller():
 @pytest.mark.parametrize(
     ("key", "value"),
     [("steady_periods", 0), ("rms", 0.0), ("rms", float("nan")), ("seed", -1), ("snr_db", float("inf")),
-     ("realisations", 0), ("pace", 0.0)],
+     ("realisations", 0), ("pace", 0.0), ("threads", 0)],
 )  # fmt: skip
 def test_refuses_parameters_out_of_range(key, value):
     with pytest.raises(ConfigurationError, match=rf"simulated rig: {key}: {value!r}, must be"):

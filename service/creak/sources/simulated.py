@@ -4,9 +4,12 @@ import math
 import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import count, islice
 from typing import Final
 
 import numpy as np
@@ -21,6 +24,37 @@ from creak.records import Excitation, Frame, Limits, Real, Rig, Run
 
 SENSOR_NOISE: Final = 1
 """Purpose of the random stream ``SeedSequence((seed, realisation, purpose))``; the excitation's is 0."""
+
+AHEAD: Final = 2  # realisations that are simulated while the frames of the one before are taken
+
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """How a model is stepped; ``resolution`` is None where the steps were given."""
+
+    steppers: tuple[Stepper, ...]
+    sensors: tuple[tuple[Sensor, ...], ...]
+    resolution: Resolution | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """A realisation that is being simulated; its futures give None if that was stopped.
+
+    Parameters
+    ----------
+    index : int
+    inputs : array, (q, q, N)
+        Experiment, input, sample.
+    chosen : Future of _Chosen
+    responses : tuple of Future, (q,)
+        Each ``(periods, n, N)``, without noise.
+    """
+
+    index: int
+    inputs: Real
+    chosen: Future[_Chosen | None]
+    responses: tuple[Future[Real | None], ...]
 
 
 class SimulatedRig:
@@ -59,6 +93,8 @@ class SimulatedRig:
         Alarm limits; None for the usual ones.
     substeps : int or None
         Time steps a sample; None for as many as the noise asks for.
+    threads : int or None
+        Experiments that are simulated at a time, which changes no bit of them; None for one a processor.
 
     Raises
     ------
@@ -93,6 +129,7 @@ class SimulatedRig:
         window: int = 4,
         limits: Limits | None = None,
         substeps: int | None = None,
+        threads: int | None = None,
     ) -> None:
         _check("steady_periods", steady_periods, steady_periods >= 1, "1 or more")
         _check("rms", rms, 0 < rms < math.inf, "finite and greater than 0")
@@ -100,6 +137,7 @@ class SimulatedRig:
         _check("snr_db", snr_db, snr_db is None or math.isfinite(snr_db), "finite")
         _check("realisations", realisations, realisations is None or realisations >= 1, "1 or more")
         _check("substeps", substeps, substeps is None or substeps >= 1, "1 or more")
+        _check("threads", threads, threads is None or threads >= 1, "1 or more")
         _check_pace(pace)
         self.run = Run(
             id=run_id,
@@ -121,6 +159,7 @@ class SimulatedRig:
         self._snr_db = snr_db
         self._realisations = realisations
         self._substeps = substeps
+        self._threads = threads or os.cpu_count() or 1
         self._wake = threading.Condition()
         self._closed = False
         self._pace = pace
@@ -155,86 +194,97 @@ class SimulatedRig:
         SimulationError
             If the time stepping fails.
         """
+        left = threading.Event()
+        with ThreadPoolExecutor(self._threads, "creak-simulation") as pool:
+            try:
+                yield from self._frames(self._begin(pool, lambda: self._closed or left.is_set()))
+            finally:
+                left.set()
+                pool.shutdown(wait=False, cancel_futures=True)
+
+    def _frames(self, realisations: Iterator[_Begun]) -> Iterator[Frame]:
+        """Yield the frames of realisations, of which some are always under way while one is taken."""
         run = self.run
-        steppers: tuple[Stepper, ...] | None = None
-        stepped: System | None = None
         sigma: Real | None = None
         due = time.monotonic()
         index = 0
-        with ThreadPoolExecutor(min(run.rig.q, os.cpu_count() or 1), "creak-simulation") as pool:
-            m = 0
-            while (self._realisations is None or m < self._realisations) and not self._closed:
-                inputs = multisine(run.rig, self._rms, self._seed, m)
+        ahead = deque(islice(realisations, AHEAD))
+        while ahead:
+            begun = ahead.popleft()
+            chosen = begun.chosen.result()
+            self.resolution = None if chosen is None else chosen.resolution
+            simulated = [future.result() for future in begun.responses]
+            responses = np.array([response for response in simulated if response is not None])
+            if len(responses) < run.rig.q or self._closed:
+                return
+            ahead.extend(islice(realisations, 1))
+            if sigma is None:
+                sigma = self._noise_level(responses)
+            rng = np.random.default_rng(np.random.SeedSequence((self._seed, begun.index, SENSOR_NOISE)))
+            for experiment in range(run.rig.q):
+                for period in range(run.periods):
+                    y = responses[experiment, period]
+                    y = y + sigma[:, None] * rng.standard_normal(y.shape)
+                    due = self._wait(due)
+                    if self._closed:
+                        return
+                    at = run.start + round(index * run.rig.period_ns)
+                    yield Frame(begun.index, experiment, period, at, begun.inputs[experiment], y)
+                    index += 1
+
+    def _begin(self, pool: ThreadPoolExecutor, stopped: Callable[[], bool]) -> Iterator[_Begun]:
+        """Hand realisation by realisation to the pool."""
+        run = self.run
+        system: System | None = None
+        chosen: Future[_Chosen | None]
+        for m in count() if self._realisations is None else range(self._realisations):
+            inputs = multisine(run.rig, self._rms, self._seed, m)
+            if self._system(m) is not system:
                 system = self._system(m)
-                if steppers is None or system is not stepped:
-                    steppers, stepped = self._steppers(system, inputs[0]), system
-                if steppers is None:
-                    return
-                responses = self._simulate(pool, steppers, system.sensors, inputs)
-                if responses is None:
-                    return
-                if sigma is None:
-                    sigma = self._noise_level(responses)
-                rng = np.random.default_rng(np.random.SeedSequence((self._seed, m, SENSOR_NOISE)))
-                for experiment in range(run.rig.q):
-                    for period in range(run.periods):
-                        y = responses[experiment, period]
-                        y = y + sigma[:, None] * rng.standard_normal(y.shape)
-                        due = self._wait(due)
-                        if self._closed:
-                            return
-                        at = run.start + round(index * run.rig.period_ns)
-                        yield Frame(m, experiment, period, at, inputs[experiment], y)
-                        index += 1
-                m += 1
+                chosen = pool.submit(self._choose, system, inputs[0], stopped)
+            simulate = partial(self._simulate, chosen, stopped)
+            yield _Begun(m, inputs, chosen, tuple(pool.submit(simulate, u) for u in inputs))
 
     def _system(self, m: int) -> System:
         """Return the system that acts in realisation m."""
         return [system for begin, system in self._systems if begin <= m][-1]
 
-    def _steppers(self, system: System, u: Real) -> tuple[Stepper, ...] | None:
-        """Choose the steps a sample, coarse and fine, or those given; None if the source was closed meanwhile."""
+    def _choose(self, system: System, u: Real, stopped: Callable[[], bool]) -> _Chosen | None:
+        """Choose the steps a sample, coarse and fine, or take those given; None if stopped meanwhile."""
         rig = self.run.rig
         unseen = replace(system, sensors=())  # sensors act on what is extrapolated
         if self._substeps is not None:
-            return (Stepper(unseen, rig.sample_rate, self._substeps, rig.hold),)
+            return _Chosen((Stepper(unseen, rig.sample_rate, self._substeps, rig.hold),), system.sensors, None)
         noise_db = None if self._snr_db is None else -self._snr_db
         resolution = choose_substeps(
-            system, rig.sample_rate, rig.hold, u, rig.transient_periods + 1, noise_db, lambda: self._closed
+            system, rig.sample_rate, rig.hold, u, rig.transient_periods + 1, noise_db, stopped
         )
         if resolution is None:
             return None
-        self.resolution = resolution
         coarse = max(1, resolution.substeps // 2)
-        return (
-            Stepper(unseen, rig.sample_rate, coarse, rig.hold),
-            Stepper(unseen, rig.sample_rate, 2 * coarse, rig.hold),
-        )
+        steppers = tuple(Stepper(unseen, rig.sample_rate, steps, rig.hold) for steps in (coarse, 2 * coarse))
+        return _Chosen(steppers, system.sensors, resolution)
 
-    def _simulate(
-        self,
-        pool: ThreadPoolExecutor,
-        steppers: tuple[Stepper, ...],
-        sensed: tuple[tuple[Sensor, ...], ...],
-        inputs: Real,
-    ) -> Real | None:
-        """All experiments of a realisation, ``(q, periods, n, N)``; None if the source was closed meanwhile."""
+    def _simulate(self, choice: Future[_Chosen | None], stopped: Callable[[], bool], u: Real) -> Real | None:
+        """One experiment with inputs ``(q, N)``: its responses ``(periods, n, N)``; None if stopped meanwhile.
+
+        The choice was handed to the pool before, so it is made or being made while this waits for it.
+        """
         rig = self.run.rig
-        out = np.empty((rig.q, self.run.periods, rig.n, rig.period_samples))
-
-        def simulate(experiment: int) -> None:
-            periods = (stepper.experiment(inputs[experiment], self.run.periods) for stepper in steppers)
-            for period, motions in enumerate(zip(*periods, strict=True)):
-                y = motions[0] if len(motions) == 1 else (4 * motions[1] - motions[0]) / 3
-                for node, sensors in enumerate(sensed):
-                    for sensor in sensors:
-                        y[node], _ = sensor.apply(y[node], rig.sample_rate)
-                out[experiment, period] = y
-                if self._closed:
-                    return
-
-        list(pool.map(simulate, range(rig.q)))
-        return None if self._closed else out
+        chosen = choice.result()
+        if chosen is None:
+            return None
+        out = np.empty((self.run.periods, rig.n, rig.period_samples))
+        periods = (stepper.experiment(u, self.run.periods) for stepper in chosen.steppers)
+        for period, motions in enumerate(zip(*periods, strict=True)):
+            y = motions[0] if len(motions) == 1 else (4 * motions[1] - motions[0]) / 3
+            for node, sensors in enumerate(chosen.sensors):
+                for sensor in sensors:
+                    y[node], _ = sensor.apply(y[node], rig.sample_rate)
+            out[period] = y
+            if stopped():
+                return None
+        return out
 
     def _noise_level(self, responses: Real) -> Real:
         """Give the standard deviation of the noise at every node."""
