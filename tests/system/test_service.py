@@ -239,7 +239,7 @@ def test_kill_9_loses_at_most_the_open_period_and_one_second(serve, place):
 
 
 def test_an_api_that_dies_comes_back_and_one_whose_service_dies_goes(serve):
-    """Kills an API that takes the measuring with it, and one that keeps the address of a service that was killed."""
+    """Kills an API that takes the measuring with it, and one that keeps the address of a killed service."""
     process, client = serve(pace=20.0)
     before = client.get("/api/v1/rigs/small").json()
     (api,) = children(process.pid)

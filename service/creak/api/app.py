@@ -25,6 +25,7 @@ from creak.api import (
     webhooks,
 )
 from creak.api.access import Access, Gate
+from creak.api.answers import Answers
 from creak.api.events import EventFeed, watched
 from creak.api.guard import Guard
 from creak.api.models import Answer, Problem
@@ -116,6 +117,7 @@ def create_app(
     app.state.access = access or Access()
     app.state.models = dict(models_of or {})
     problems.install(app)
+    app.add_middleware(Answers, store=opened)
     app.add_middleware(Gate, store=opened, access=app.state.access)
     app.add_middleware(Guard)
     api = APIRouter(prefix="/api/v1")
