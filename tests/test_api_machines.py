@@ -3,6 +3,7 @@
 import json
 import re
 import time
+from pathlib import Path
 
 import pytest
 from fastapi.openapi.models import OpenAPI
@@ -38,7 +39,7 @@ def store(tmp_path_factory):
 @pytest.fixture(scope="module")
 def client(store):
     """A server over a store with two rigs: the beam, measured, with an alarm; and a bench that has just begun."""
-    with serving(create_app(store)) as client:
+    with serving(create_app(store, data=Path(__file__).parent)) as client:
         yield client
 
 
@@ -63,6 +64,17 @@ def test_metrics(client):
     assert value("creak_node_alarm", rig="beam", node="1", creak_node_alarm="normal") == 1
     assert value("creak_last_recorded_timestamp_seconds", rig="beam") == START / 1e9 + 8
     assert value("creak_run_running", rig="beam") == 1
+    assert value("creak_run_status", rig="beam", creak_run_status="running") == 1
+    assert value("creak_run_status", rig="beam", creak_run_status="failed") == 0
+    assert 0 <= time.time() - value("creak_last_beat_timestamp_seconds", rig="beam") < 300
+    assert (
+        value("creak_active_alarms", rig="beam", severity="alarm", acknowledged="false", **{"class": "process"})
+        == 1
+    )
+    assert value("creak_jobs", kind="diagnosis", status="queued") == 1
+    assert value("creak_recordings_bytes", rig="beam") > 0
+    assert 0 < value("creak_data_free_bytes") < value("creak_data_size_bytes")
+    assert value("process_resident_memory_bytes") > 1e6
     assert "creak_build_info{" in text
     openmetrics = client.get("/metrics", headers={"Accept": "application/openmetrics-text; version=1.0.0"})
     assert openmetrics.text.endswith("# EOF\n")

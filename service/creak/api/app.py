@@ -69,6 +69,7 @@ def create_app(
     rigs_expected: Sequence[str] = (),
     access: Access | None = None,
     models_of: Mapping[str, Path] | None = None,
+    data: Path | None = None,
 ) -> FastAPI:
     """Make the application.
 
@@ -80,9 +81,10 @@ def create_app(
         Rigs without which the service is not ready; by default those whose runs go on.
     access : Access
         Keys, limits, and where receivers of webhooks may live; by default as it is safe on loopback.
-
     models_of : mapping of str to Path, optional
         Model file of each rig that has one, against which its recordings are diagnosed.
+    data : Path, optional
+        Directory of the recordings, of whose file system the metrics tell.
 
     Raises
     ------
@@ -116,6 +118,7 @@ def create_app(
     app.state.rigs = tuple(rigs_expected)
     app.state.access = access or Access()
     app.state.models = dict(models_of or {})
+    app.state.data = data
     problems.install(app)
     app.add_middleware(Answers, store=opened)
     app.add_middleware(Gate, store=opened, access=app.state.access)

@@ -42,12 +42,15 @@ class ApiSettings:
     access : Access
     models : mapping of str to Path
         Model file of each rig that has one.
+    data : Path or None
+        Directory of the recordings.
     """
 
     store: str
     rigs: Sequence[str] = ()
     access: Access = field(default_factory=Access)
     models: Mapping[str, Path] = field(default_factory=dict)
+    data: Path | None = None
 
 
 class ApiProcess:
@@ -122,6 +125,7 @@ def main() -> None:
         rigs_expected=told["rigs"],
         access=Access(**told["access"]),
         models_of={name: Path(path) for name, path in told["models"].items()},
+        data=None if told["data"] is None else Path(told["data"]),
     )
     try:
         Server(app, socket.socket(fileno=told["listener"])).listen()

@@ -273,7 +273,7 @@ def _run(
         name: table.model for name, table in zip(names, settings.rigs, strict=True) if table.model is not None
     }
     access = _access(settings, listener, store)
-    api = ApiProcess(ApiSettings(settings.store_url, names, access, models), listener)
+    api = ApiProcess(ApiSettings(settings.store_url, names, access, models, settings.data), listener)
     jobs = settings.jobs
     runner = JobRunner(store, settings.data / "jobs", at_once=jobs.at_once, max_seconds=jobs.max_seconds)
     try:
