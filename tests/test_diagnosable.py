@@ -4,7 +4,7 @@ import pytest
 
 from creak.records import Limits
 from creak.sinks.database import open_store
-from creak.sinks.diagnosable import of_alarm, of_recording
+from creak.sinks.diagnosable import healthy_before, of_alarm, of_recording
 from creak.sinks.store import RecordingEntry, put_recording
 from store_records import SECOND, START, feed, make_alarm, make_run, opened
 
@@ -62,6 +62,26 @@ def test_an_alarm_at_once_in_the_newest_part(store):
     sink.take(alarm)
     found = material(store, alarm)
     assert (found.first, found.last, found.files) == (30, 41, ("3.mcap",))
+
+
+def test_the_rig_as_it_was_ends_before_the_first_window_that_exceeded(store):
+    """Kills a reference that holds some of the fault, and one of days of data."""
+    sink, run = filled(store, 40)
+    alarm = make_alarm(run, since=START + 19 * SECOND)  # at the end of realisation 18
+    sink.take(alarm)
+    with store.read() as connection:
+        found = healthy_before(connection, alarm.id)
+    # Windows of two that ended with 17 and 18 exceeded: 16 is in the first of them, so 15 is the last that is not.
+    assert (found.rig, found.first, found.last) == ("beam", 4, 15)
+    assert found.files == ("0.mcap", "1.mcap")
+
+
+def test_an_alarm_at_once_leaves_nothing_healthy(store):
+    sink, run = filled(store, 40)
+    alarm = make_alarm(run, since=START + 2 * SECOND)
+    sink.take(alarm)
+    with store.read() as connection:
+        assert healthy_before(connection, alarm.id) is None
 
 
 def test_an_alarm_of_a_run_that_was_not_recorded_has_no_files(store):

@@ -56,7 +56,7 @@ def test_jobs_are_claimed_in_order_and_each_once(store):
 
 
 def test_a_task_comes_back_as_it_was_put(store):
-    task = Task("diagnosis", ("a.mcap", "b.mcap"), "model.toml", "other.mcap", 3, 7)
+    task = Task("diagnosis", ("a.mcap", "b.mcap"), "model.toml", "other.mcap", 3, 7, ("0.mcap",), 1, 2)
     put(store, task)
     assert jobs.claim(store, 1).task == task
 

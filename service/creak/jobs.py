@@ -159,9 +159,12 @@ def arguments(task: Task, report: Path | None) -> list[str]:
     """
     if task.kind == "replay":
         return ["replay", "--json", "--", *task.files]
-    assert task.model is not None
-    words = ["diagnose", "--json", "--model", task.model]
+    words = ["diagnose", "--json"]
     for option, value in (
+        ("--model", task.model),
+        *(("--healthy", part) for part in task.healthy),
+        ("--first-healthy", task.first_healthy),
+        ("--last-healthy", task.last_healthy),
         ("--report", report),
         ("--validate", task.validate),
         ("--first-realisation", task.first),

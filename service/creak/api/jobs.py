@@ -15,7 +15,7 @@ from creak.api.problems import ProblemError, bad_parameter, unknown_alarm
 from creak.report import POLICY
 from creak.sinks import jobs
 from creak.sinks.database import Store
-from creak.sinks.diagnosable import Material, of_alarm, of_recording
+from creak.sinks.diagnosable import Material, healthy_before, of_alarm, of_recording
 from creak.sinks.jobs import Kind, Task
 
 router = APIRouter(tags=["jobs"])
@@ -39,28 +39,36 @@ def ask_for_a_diagnosis(
 ) -> Json:
     """Ask where a recording, or the stretch of it in which an alarm stood, departs from the rig's model, and why.
 
+    Where the rig has no model, an alarm's recording is held against the healthy realisations before the alarm.
     The answer comes at once; the diagnosis is computed beside the service and found at `Location`, which is also
     where its HTML report lies (`/report`).
     """
     material = _material(store, body)
     model = _model(request, material.rig, body.model)
+    healthy = None if model is not None else _healthy(store, material.rig, body.alarm)
     _present(material)
+    if healthy is not None:
+        _present(healthy)
     validate = None if body.validation is None else _recording(store, body.validation)
     if validate is not None:
         _present(validate)
     task = Task(
         "diagnosis",
         material.files,
-        model=str(model),
+        model=None if model is None else str(model),
         validate=None if validate is None else validate.files[0],
         first=material.first if body.first_realisation is None else body.first_realisation,
         last=material.last if body.last_realisation is None else body.last_realisation,
+        healthy=() if healthy is None else healthy.files,
+        first_healthy=None if healthy is None else healthy.first,
+        last_healthy=None if healthy is None else healthy.last,
     )
     asked = {
         "recording": body.recording,
         "alarm": body.alarm,
         "rig": material.rig,
-        "model": model.name,
+        "model": None if model is None else model.name,
+        "healthy_realisations": None if healthy is None else [healthy.first, healthy.last],
         "validate": body.validation,
         "first_realisation": task.first,
         "last_realisation": task.last,
@@ -180,17 +188,31 @@ def _present(material: Material) -> None:
             )
 
 
-def _model(request: Request, rig: str, asked: str | None) -> FilePath:
-    """Return the model that the service file gives the rig: no other file is opened for a client."""
+def _model(request: Request, rig: str, asked: str | None) -> FilePath | None:
+    """Return the model that the service file gives the rig, if any: no other file is opened for a client."""
     model: FilePath | None = request.app.state.models.get(rig)
     if model is None:
-        detail = (
-            f"rig {rig!r} has no model in the service file, so there is nothing to compare its recordings with"
-        )
-        raise ProblemError(409, "no-model", "No model", detail)
+        if asked is not None:
+            raise bad_parameter("body", "model", f"{asked!r} is not the model of rig {rig!r}, which has none")
+        return None
     if asked is not None and asked not in {str(model), model.name}:
         raise bad_parameter("body", "model", f"{asked!r} is not the model of rig {rig!r}; that is {model.name!r}")
     return model
+
+
+def _healthy(store: Store, rig: str, alarm: str | None) -> Material:
+    """Return what stands in for a model: the realisations before an alarm."""
+    found = None
+    if alarm is not None:
+        with store.read() as connection:
+            found = healthy_before(connection, alarm)
+    if found is None:
+        why = "there is nothing to compare its recordings with"
+        if alarm is not None:
+            why = "the alarm has no healthy realisations before it to compare with"
+        detail = f"rig {rig!r} has no model in the service file, and {why}"
+        raise ProblemError(409, "no-model", "No model", detail)
+    return found
 
 
 def _job(store: Store, identifier: str, kind: Kind | None) -> Json:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import typer
 
-from creak.cli import bench, diagnose, excitation, export, keys, paper, recordings, rig, service
+from creak.cli import bench, diagnose, excitation, export, keys, paper, recordings, reference, rig, service
 from creak.errors import CreakError, InputError
 
 # typer carries a click of its own and exports this one of its errors; what it derives from are all the others.
@@ -27,6 +27,7 @@ excitation.add_to(app)
 keys.add_to(app)
 rig.add_to(app)
 diagnose.add_to(app)
+reference.add_to(app)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

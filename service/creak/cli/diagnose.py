@@ -9,19 +9,20 @@ from typing import Annotated
 import typer
 
 from creak.cli.diagnosis import show
-from creak.cli.progress import Tell, progress
+from creak.cli.progress import progress
 from creak.cli.recordings import warn, whole_file
+from creak.cli.reference import gathered, moved, with_response
+from creak.cli.reference import healthy as as_model
 from creak.codec.diagnosis_json import diagnosis_json
 from creak.config.model import load_model
 from creak.config.model_writer import model_toml
-from creak.errors import ConfigurationError, InputError, MeasurementError, RecordingError
+from creak.errors import ConfigurationError, InputError, RecordingError
 from creak.gap.diagnose import diagnose as find
 from creak.gap.diagnose import validate as hold
-from creak.gap.periodic import PeriodicData, gather
 from creak.gap.view import check_stable
 from creak.mechanics.structure import MeasuredResponse
 from creak.mechanics.system import assemble
-from creak.records import Fault, Frame, Rig
+from creak.records import Rig
 from creak.sources.recording import Recording
 
 _READING = 0.15  # share of the work that reading a recording is taken for
@@ -35,7 +36,15 @@ def add_to(app: typer.Typer) -> None:
 def diagnose(
     files: Annotated[list[Path], typer.Argument(metavar="REC...", help="A recording, or the parts of one.")],
     *,
-    model: Annotated[Path, typer.Option("--model", help="Model file (model.toml): what is believed.")],
+    model: Annotated[
+        Path | None, typer.Option("--model", help="Model file (model.toml): what is believed.")
+    ] = None,
+    healthy: Annotated[
+        list[Path] | None,
+        typer.Option("--healthy", help="In place of a model: a healthy recording; once for every part."),
+    ] = None,
+    first_healthy: Annotated[int | None, typer.Option(help="First realisation of it that counts, from 0.")] = None,
+    last_healthy: Annotated[int | None, typer.Option(help="Last realisation of it that counts.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
     report: Annotated[
         Path | None, typer.Option("--report", help="Page to write (.html): words, figures, pictures; one file.")
@@ -54,68 +63,44 @@ def diagnose(
 
     Example: `creak diagnose three-mass.mcap --model model-linear.toml --report gap.html`
     """
-    believed = load_model(model)
+    if (model is None) == (not healthy):
+        raise InputError("--model: give a model file, or a healthy recording with --healthy, and not both")
+    source = model or (healthy or [Path()])[0]
+    believed = load_model(model) if model else None
     recording = Recording(*files)
     other = None if validate is None else _other(validate, recording)
     rig = recording.run.rig
     with ExitStack() as scope:
-        scope.enter_context(_naming(model, recording))
-        if not isinstance(believed, MeasuredResponse):
+        scope.enter_context(_naming(source, recording))
+        if believed is not None and not isinstance(believed, MeasuredResponse):
             check_stable(assemble(believed, rig))  # before minutes are spent on reading
         page = None if report is None else scope.enter_context(whole_file(report, "--report"))
         saved = None if save_model is None else scope.enter_context(whole_file(save_model, "--save-model"))
         tell = scope.enter_context(progress(progress_fd))
-        data = _gathered(recording, first_realisation, last_realisation, tell)
+        if believed is None:
+            believed = as_model(healthy or [], first_healthy, last_healthy, tell)
+        else:
+            believed = with_response(believed, source, tell)
+        check_stable(assemble(believed, rig))
+        data = gathered(recording, first_realisation, last_realisation, tell)
         found = find(rig, believed, data, lambda what, done: tell(what, _READING + (1 - _READING) * done))
         holding = None
         if other is not None:
             tell("the other recording", 1.0)
-            holding = hold(rig, believed, found, _gathered(other, None, None, _silent))
+            holding = hold(rig, believed, found, gathered(other, None, None, _silent))
         if page is not None:
             from creak.report.page import write_page
 
             name = ", ".join(path.name for path in files)
-            page.write_text(write_page(found, holding, recording.run, name, model.name), encoding="utf-8")
-        if saved is not None:
-            saved.write_text(model_toml(found.corrected), encoding="utf-8")
+            page.write_text(write_page(found, holding, recording.run, name, source.name), encoding="utf-8")
+        if saved is not None and save_model is not None:
+            saved.write_text(model_toml(moved(found.corrected, source, save_model.parent)), encoding="utf-8")
     for line in recording.damage:
         warn(line)
     if as_json:
         typer.echo(json.dumps(diagnosis_json(found, holding), indent=1, allow_nan=False))
     else:
         show(found, holding)
-
-
-def _gathered(recording: Recording, first: int | None, last: int | None, tell: Tell) -> PeriodicData:
-    """Read the complete realisations that count."""
-    for option, number in (("--first-realisation", first), ("--last-realisation", last)):
-        if number is not None and number < 0:
-            raise InputError(f"{option}: {number} is not allowed: should be 0 or more")
-    if first is not None and last is not None and first > last:
-        raise InputError(
-            f"--last-realisation: {last} is not allowed: should be at least --first-realisation ({first})"
-        )
-    try:
-        return gather(recording.run, _chosen(recording, first, last, tell))
-    except MeasurementError as error:
-        chosen = "" if first is None and last is None else f" of the realisations {first or 0} to {_end(last)}"
-        raise RecordingError(f"{recording.paths[0]}: {error}{chosen}") from None
-
-
-def _chosen(recording: Recording, first: int | None, last: int | None, tell: Tell) -> Iterator[Frame | Fault]:
-    begun = -1
-    for item in recording.frames():
-        if item.realisation is not None:
-            if (first is not None and item.realisation < first) or (last is not None and item.realisation > last):
-                continue
-            if item.realisation > begun:
-                begun = item.realisation
-                tell(f"reading realisation {begun}", 0.0)
-        yield item
-
-
-def _end(last: int | None) -> str:
-    return "the end" if last is None else str(last)
 
 
 def _other(path: Path, recording: Recording) -> Recording:

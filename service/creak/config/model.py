@@ -74,6 +74,7 @@ class _BeamTable(_Strict):
 
 class _MeasuredTable(_Strict):
     recording: str
+    realisations: tuple[Whole, Whole] | None = None
 
 
 def load_model(path: Path) -> Model:
@@ -163,7 +164,8 @@ def _beam(tables: Mapping[str, Any], effects: tuple[Effect, ...], _source: str) 
 
 
 def _measured(tables: Mapping[str, Any], effects: tuple[Effect, ...], _source: str) -> Model:
-    return MeasuredResponse(_MeasuredTable.model_validate(tables).recording, effects)
+    table = _MeasuredTable.model_validate(tables)
+    return MeasuredResponse(table.recording, effects, table.realisations)
 
 
 _KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], tuple[Effect, ...], str], Model]]] = {

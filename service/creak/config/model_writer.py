@@ -47,6 +47,8 @@ def model_toml(model: Model) -> str:
             rows = _beam(model)
         case MeasuredResponse():
             rows = ['kind = "frf"', f"recording = {_value(model.recording)}"]
+            if model.realisations is not None:
+                rows.append(f"realisations = {_value(model.realisations)}")
     for effect in model.effects:
         rows += _table("effects", _effect(effect))
     return "\n".join(rows) + "\n"

@@ -5,18 +5,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from creak.errors import ConfigurationError
+from creak.gap import reference
 from creak.gap.force import force_curves, missing_force
 from creak.gap.hypothesis import Hypothesis, apply
 from creak.gap.levels import Division, Level, band_shares, db, divide, gap_levels, level, node_gaps, noise_bound
 from creak.gap.periodic import PeriodicData
-from creak.gap.records import Diagnosis, MissingForce, Validation, Verdict
+from creak.gap.records import Cause, Diagnosis, MissingForce, Validation, Verdict
+from creak.gap.reference import seen_by, shared_errors, widened
 from creak.gap.refine import Refined, Setting, refine
 from creak.gap.regression import Indices
 from creak.gap.search import Search, Searched
 from creak.gap.verdict import CLOSED, WITHIN_DB, as_causes, as_corrections, judge, probabilities
 from creak.gap.view import check_stable, hold_factor, lines_of
-from creak.mechanics.structure import MeasuredResponse
 from creak.mechanics.system import Model, assemble
 from creak.mechanics.vocabulary import VOCABULARY
 from creak.records import Rig
@@ -57,7 +57,7 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _s
     ----------
     rig : Rig
     model : Model
-        Kinds lumped, matrices and beam.
+        One of kind ``frf`` with its response.
     data : PeriodicData
         The recording's complete realisations, see `creak.gap.periodic.gather`.
     progress : callable
@@ -71,12 +71,11 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _s
     ConfigurationError
         If the model does not fit the rig or is unstable.
     """
-    if isinstance(model, MeasuredResponse):
-        raise ConfigurationError("model", "kind", "'frf' cannot be diagnosed; allowed are lumped, matrices, beam")
     check_stable(assemble(model, rig))
+    rig, data = seen_by(model, rig), widened(rig, model, data)
     halves = _halves(data)
     shown = halves.held if len(halves.held) else halves.fitted
-    notes = _notes(rig, data, halves)
+    notes = [*reference.notes(model), *_notes(rig, data, halves)]
     setting = Setting(rig, model, data, len(data.variance))
     progress("simulating the model", 0.0)
     every = setting.simulate(Hypothesis(), np.arange(len(data.u)))
@@ -158,6 +157,7 @@ def _concluded(
             not_claimed=tuple(notes),
         )
     named = as_causes(setting, final, searched, chances, halves.fitted, shown, gap)
+    shared = shared_errors(model, data, len(halves.fitted))
     corrected = apply(model, final.hypothesis)
     where, seen, shown_there = _where(setting, final.hypothesis, searched, halves)
     progress("done", 1.0)
@@ -167,15 +167,21 @@ def _concluded(
         gap=gap,
         nodes=node_gaps(rig, before, after, division),
         where=where,
-        causes=named.causes,
-        alternatives=named.alternatives,
-        linear_corrections=named.corrections,
+        causes=tuple(_wider(cause, shared) for cause in named.causes),
+        alternatives=tuple(_wider(cause, shared) for cause in named.alternatives),
+        linear_corrections=tuple(
+            replace(item, standard_error=shared * item.standard_error) for item in named.corrections
+        ),
         curves=force_curves(seen, shown_there, where, halves.fitted),
         unknown_probability=unknown,
         corrected=corrected,
         tested=tested,
         not_claimed=tuple(notes),
     )
+
+
+def _wider(cause: Cause, factor: float) -> Cause:
+    return replace(cause, standard_errors={key: factor * error for key, error in cause.standard_errors.items()})
 
 
 def _where(
@@ -240,6 +246,7 @@ def validate(rig: Rig, model: Model, diagnosis: Diagnosis, other: PeriodicData) 
     -------
     Validation
     """
+    rig, other = seen_by(model, rig), widened(rig, model, other)
     every = np.arange(len(other.u))
     old = Setting(rig, model, other, len(other.variance)).simulate(Hypothesis(), every)
     setting = Setting(rig, diagnosis.corrected, other, len(other.variance))

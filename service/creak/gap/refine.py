@@ -254,21 +254,17 @@ def _jacobian(setting: Setting, hypothesis: Hypothesis, fitted: Indices, steady:
 def _linear_rows(setting: Setting, hypothesis: Hypothesis, steady: SteadyState) -> list[Complex]:
     """Derivatives to linear changes, the nonlinear elements replaced by their equivalent linear ones."""
     system, rig, top = setting.system(hypothesis), setting.rig, setting.top
-    stiffness, damping = system.stiffness.copy(), system.damping.copy()
+    stiffness, damping = np.zeros(len(system.elements)), np.zeros(len(system.elements))
     for i in range(len(system.elements)):
         d, f = steady.motion[:, i], steady.force[:, i]
         d = d - d.mean(axis=-1, keepdims=True)
-        b = system.incidence[:, i]
         rate = np.gradient(d, axis=-1) * (rig.sample_rate * steady.oversampling)
-        stiffness += np.sum(f * d) / max(float(np.sum(d * d)), 1e-300) * np.outer(b, b)
-        damping += np.sum(f * rate) / max(float(np.sum(rate**2)), 1e-300) * np.outer(b, b)
+        stiffness[i] = np.sum(f * d) / max(float(np.sum(d * d)), 1e-300)
+        damping[i] = np.sum(f * rate) / max(float(np.sum(rate**2)), 1e-300)
     s: Complex = np.asarray(2j * np.pi * np.arange(top) * rig.sample_rate / rig.period_samples, np.complex128)
-    dynamic = stiffness + s[:, None, None] * damping + s[:, None, None] ** 2 * system.mass
     rows_at = {node.name: system.outputs[i] for i, node in enumerate(rig.nodes)}
-    receptance = system.outputs @ np.linalg.solve(
-        dynamic + 1e-30 * np.eye(len(dynamic[0])),
-        np.broadcast_to(system.outputs.T, (top, *system.outputs.T.shape)),
-    )
+    equivalent = system.linearised(stiffness, damping)
+    receptance = equivalent.outputs @ equivalent.motion(np.abs(s) / (2 * np.pi), system.outputs.T)
     order = np.array(system.derivatives)
     differentiated = s[:, None] ** order
     Y = lines_of(steady.y)[:, :top]

@@ -12,6 +12,7 @@ import numpy as np
 
 from creak.errors import ConfigurationError
 from creak.mechanics.effects import GROUND, Effect
+from creak.mechanics.response import Response
 from creak.records import Real
 
 
@@ -154,10 +155,24 @@ class Matrices:
 
 @dataclass(frozen=True)
 class MeasuredResponse:
-    """The response matrix that a recording holds (kind ``frf``): for diagnosis, not for simulation."""
+    """The response matrix that a recording holds (kind ``frf``): for diagnosis, not for simulation.
+
+    Parameters
+    ----------
+    recording : str
+        File.
+    effects : tuple of Effect
+        Added to the structure at its nodes.
+    realisations : pair of int, optional
+        First and last that count, from 0; by default all.
+    response : Response, optional
+        What the recording holds, once it has been read.
+    """
 
     recording: str
     effects: tuple[Effect, ...] = field(default=())
+    realisations: tuple[int, int] | None = None
+    response: Response | None = field(default=None, compare=False, repr=False)
 
 
 def refusal(key: str, problem: str) -> ConfigurationError:

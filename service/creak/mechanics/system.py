@@ -1,8 +1,8 @@
 """A model seen through a rig: matrices, inputs, outputs and nonlinear elements, ready to be simulated."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Final, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import Final, Self, TypeAlias
 
 import numpy as np
 
@@ -76,6 +76,22 @@ class System:
         """
         return self.receptance(frequencies, self.inputs)
 
+    @property
+    def free(self) -> bool:
+        """True if nothing holds the structure, so that its static response is not determined."""
+        return bool(np.linalg.cond(self.stiffness) > _FREE)
+
+    def linearised(self, stiffness: Real, damping: Real) -> Self:
+        """System whose nonlinear elements are replaced by springs and dampers, ``(r,)`` each."""
+        b = self.incidence
+        return replace(
+            self,
+            stiffness=self.stiffness + (b * stiffness) @ b.T,
+            damping=self.damping + (b * damping) @ b.T,
+            elements=(),
+            incidence=b[:, :0],
+        )
+
     def receptance(self, frequencies: Real, loads: Real) -> Complex:
         """What the nodes show of unit forces on any coordinates, ``S b``: the columns of candidate forces.
 
@@ -115,7 +131,7 @@ class System:
 
     def _with_static(self, s: Complex, loads: Real) -> Complex:
         dynamic = self.stiffness + s * self.damping + s**2 * self.mass
-        if np.linalg.cond(self.stiffness) > _FREE:
+        if self.free:
             softest = np.trace(self.stiffness) / np.trace(self.mass) * 1e-10
             dynamic[s[:, 0, 0] == 0] += softest * self.mass
         return np.asarray(np.linalg.solve(dynamic, loads))
@@ -138,10 +154,17 @@ def assemble(model: Model, rig: Rig) -> System:
     ------
     ConfigurationError
         If a node of the rig is not in the model, lacks an actuator or a sensor there, or is measured in a
-        unit that no mechanical model gives; if the effects leave no positive mass; for kind ``frf``.
+        unit that no mechanical model gives; if the effects leave no positive mass; for kind ``frf`` if its
+        recording has not been read.
     """
     if isinstance(model, MeasuredResponse):
-        raise ConfigurationError("model", "kind", "'frf' cannot be simulated; allowed are lumped, matrices, beam")
+        from creak.mechanics.measured import measured_system  # which is built on the class above
+
+        if model.response is None:
+            raise ConfigurationError(
+                "model", "kind", "'frf' cannot be simulated; allowed are lumped, matrices, beam"
+            )
+        return measured_system(model, model.response, rig)
     # Up to the Nyquist frequency, so that harmonics of a nonlinear force find their modes.
     body = model.body(rig.sample_rate / 2) if isinstance(model, Beam) else model.body()
     _check_nodes(body, rig)

@@ -74,6 +74,35 @@ def of_alarm(connection: sa.Connection, identifier: str) -> Material | None:
     return Material(row["rig"], files, first, last)
 
 
+def healthy_before(connection: sa.Connection, identifier: str) -> Material | None:
+    """Return the realisations before those whose windows raised an alarm: the rig as it was.
+
+    Returns
+    -------
+    Material or None
+        None if the alarm was raised too early, or its run was not recorded.
+    """
+    alarms, runs = tables.alarms, tables.runs
+    query = (
+        sa.select(alarms.c.rig, alarms.c.run, alarms.c.since, runs.c.limits, runs.c.window)
+        .join(runs, runs.c.id == alarms.c.run)
+        .where(alarms.c.id == identifier)
+    )
+    row = connection.execute(query).mappings().first()
+    raised = None if row is None else _realisation(connection, row["run"], row["since"])
+    if row is None or raised is None:
+        return None
+    # The first window that exceeded the limits ended K - 1 realisations before, and held R.
+    last = raised - int(row["limits"]["exceeding"]) - int(row["window"]) + 1
+    if last < 0:
+        return None
+    first = max(0, last - _MOST + 1)
+    files = _parts(
+        connection, row["run"], _end(connection, row["run"], first - 1), _end(connection, row["run"], last)
+    )
+    return Material(row["rig"], files, first, last) if files else None
+
+
 def _cleared(connection: sa.Connection, alarm: str) -> int | None:
     """Return the recorded time at which an alarm was cleared."""
     journal = tables.journal

@@ -49,11 +49,15 @@ class Task:
     files : tuple of str
         Parts of one recording.
     model : str or None
-        Model file; a diagnosis needs one.
+        Model file; a diagnosis needs one, or a healthy recording.
     validate : str or None
         Recording at another amplitude.
     first, last : int or None
         Realisations that count, ends included; None for no limit.
+    healthy : tuple of str
+        Parts of the recording that stands in for a model.
+    first_healthy, last_healthy : int or None
+        Its realisations that count.
     """
 
     kind: Kind
@@ -62,6 +66,9 @@ class Task:
     validate: str | None = None
     first: int | None = None
     last: int | None = None
+    healthy: tuple[str, ...] = ()
+    first_healthy: int | None = None
+    last_healthy: int | None = None
 
 
 @dataclass(frozen=True)
@@ -268,4 +275,4 @@ def _time(moment: int | None) -> str | None:
 
 def _task(stored: Mapping[str, Any]) -> Task:
     values = {field.name: stored[field.name] for field in fields(Task)}
-    return Task(**{**values, "files": tuple(stored["files"])})
+    return Task(**{**values, "files": tuple(stored["files"]), "healthy": tuple(stored.get("healthy", ()))})
