@@ -179,12 +179,28 @@ def test_an_acknowledgement_of_what_is_gone_or_has_changed_since_is_stale():
     assert ended.kind == "stale"
 
 
-def test_realarm_comes_once_after_its_rest_and_not_for_what_is_out_of_sight():
+HIDE = [
+    (ActionKind.SHELVE, ActionKind.UNSHELVE),
+    (ActionKind.SUPPRESS, ActionKind.UNSUPPRESS),
+    (ActionKind.RETIRE, ActionKind.REINSTATE),
+]
+
+
+@pytest.mark.parametrize(("hide", "show"), HIDE)
+def test_realarm_comes_once_after_its_rest_or_when_the_alarm_is_in_sight_again(hide, show):
+    """Kills one that is dropped because it fell due out of sight: what stands is to be announced again."""
     rules = AlarmRules(realarm_s=60)
     a, _ = tell(alarm(), (0, "alarm"), rules=rules)
     a, _ = do(a, ActionKind.ACKNOWLEDGE, 10, rules)
-    shelved, _ = do(a, ActionKind.SHELVE, 20, rules, until=3600 * S)
-    assert alarms.advance(shelved, 200 * S, rules, "run")[1] == ()
+    hidden, _ = do(a, hide, 20, rules, until=3600 * S)
+    hidden, changes = alarms.advance(hidden, 200 * S, rules, "run")
+    assert changes == ()
+    shown, _ = do(hidden, show, 300, rules)
+    _, changes = alarms.advance(shown, 301 * S, rules, "run")
+    assert [(c.event, c.time, c.state.value) for c in changes] == [("realarmed", 300 * S, "unacknowledged")]
+    early, _ = do(hidden, show, 30, rules)
+    _, changes = alarms.advance(early, 301 * S, rules, "run")
+    assert [(c.event, c.time) for c in changes] == [("realarmed", 70 * S)]
     a, changes = alarms.advance(a, 200 * S, rules, "run")
     assert [(c.event, c.time) for c in changes] == [("realarmed", 70 * S)]
     assert a.state is AlarmState.UNACKNOWLEDGED
@@ -206,6 +222,29 @@ def test_shelving_without_end_or_beyond_the_maximum_is_not_allowed(until, why):
     refused = do(a, ActionKind.SHELVE, 2, rules, until=None if until is None else until * S)
     assert isinstance(refused, Conflict)
     assert (refused.kind, why in refused.reason) == ("not_allowed", True)
+
+
+def test_realarm_and_the_end_of_a_shelving_come_in_their_order():
+    rules = AlarmRules(realarm_s=60)
+    a, _ = tell(alarm(), (0, "alarm"), rules=rules)
+    a, _ = do(a, ActionKind.ACKNOWLEDGE, 10, rules)
+    a, _ = do(a, ActionKind.SHELVE, 20, rules, until=100 * S)
+    _, changes = alarms.advance(a, 200 * S, rules, "run")
+    assert [(c.event, c.time) for c in changes] == [("shelving_expired", 100 * S), ("realarmed", 100 * S)]
+
+
+def test_the_end_of_whoever_watched_leaves_nothing_active_hidden_or_unseen():
+    """Whatever the facts: kills an alarm that stands for ever, and one that was never seen and disappears."""
+    for facts in reachable():
+        a = replace(alarm(), facts=facts, id="x", version=3)
+        after, changes = alarms.end(a, 9 * S, "its run has ended")
+        assert after.state.value == ("returned_unacknowledged" if after.facts.latched else "normal")
+        assert after.facts.latched == ((facts.latched or facts.active) and not facts.acknowledged)
+        assert bool(changes) == (facts.active or state(facts).value in {"shelved", "suppressed", "out_of_service"})
+        for change in changes:
+            assert (change.event, change.version, change.comment) == ("ended", 4, "its run has ended")
+            assert not any((change.active, change.shelved, change.suppressed, change.out_of_service))
+        assert alarms.end(after, 10 * S, "")[1] == ()
 
 
 steps = st.lists(

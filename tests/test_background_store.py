@@ -17,7 +17,8 @@ from creak.records import AlarmChange, Counts, RunEnd, RunStatus
 from creak.sinks import actions, queries, tables
 from creak.sinks.background import BackgroundStore
 from creak.sinks.database import open_store
-from creak.sinks.store import StoreSink, saved_state
+from creak.sinks.restart import saved_state
+from creak.sinks.store import StoreSink
 from creak.worker import Worker
 from store_records import START, feed, make_alarm, make_estimate, make_run
 

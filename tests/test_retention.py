@@ -15,8 +15,9 @@ from creak.sinks import actions, operator_tables, queries, tables
 from creak.sinks.catalogue import CataloguedRecorder
 from creak.sinks.database import open_store
 from creak.sinks.recorder import Recorder
+from creak.sinks.restart import saved_state
 from creak.sinks.retention import DAY, SECOND, Thinning, keep_budget, thin_history
-from creak.sinks.store import RecordingEntry, put_recording, saved_state
+from creak.sinks.store import RecordingEntry, put_recording
 from store_places import PLACES, place
 from store_records import START, feed, make_alarm, make_frame, make_run, opened
 
@@ -117,6 +118,20 @@ def test_full_disk_stops_the_recording_with_an_alarm_that_can_be_acknowledged(st
 # --- versions ----------------------------------------------------------------------------------------------------
 
 
+def make_version_3(url):
+    """A database as version 3 made it, with a run, an alarm and an action."""
+    store = open_store(url)
+    sink = opened(store, RUN)
+    feed(sink, RUN, 2)
+    sink.take(make_alarm(RUN))
+    with store.write() as connection:
+        actions.ask(connection, "beam", Action(make_alarm(RUN).id, ActionKind.ACKNOWLEDGE, "operator"))
+        connection.exec_driver_sql("ALTER TABLE alarms DROP COLUMN never_raised")
+        connection.exec_driver_sql("ALTER TABLE actions DROP COLUMN node")
+        connection.execute(sa.update(tables.schema).values(version=3))
+    store.close()
+
+
 def make_version_1(url):
     """A database as version 1 made it, with a run and an alarm."""
     store = open_store(url)
@@ -127,6 +142,7 @@ def make_version_1(url):
         for table in reversed([*operator_tables.ADDED, tables.jobs]):
             connection.exec_driver_sql(f"DROP TABLE {table.name}")
         connection.exec_driver_sql("ALTER TABLE alarms DROP COLUMN more")
+        connection.exec_driver_sql("ALTER TABLE alarms DROP COLUMN never_raised")
         connection.exec_driver_sql("ALTER TABLE runs DROP COLUMN rules")
         connection.exec_driver_sql("ALTER TABLE estimates DROP COLUMN more")
         connection.execute(sa.update(tables.schema).values(version=1))
@@ -171,6 +187,19 @@ def test_older_database_is_brought_up_with_all_that_is_in_it(url, tmp_path):
     assert columns(store) == columns(fresh)
     for each in (*stores, fresh):
         each.close()
+
+
+def test_database_of_version_3_is_brought_up_with_its_alarms_and_actions(url, tmp_path):
+    make_version_3(url)
+    store, fresh = open_store(url), open_store(f"sqlite:///{tmp_path}/fresh.db")
+    assert columns(store) == columns(fresh)
+    with store.read() as connection:
+        (alarm,) = queries.alarms(connection, queries.AlarmFilter(), None, 10).items
+        (asked,) = actions.waiting(connection, "beam", 0)
+        assert not queries.alarm_change(connection, alarm["id"]).never_raised
+    assert (asked.action.alarm, asked.action.node) == (alarm["id"], "")
+    store.close()
+    fresh.close()
 
 
 def test_step_that_fails_leaves_the_older_database_as_it_was(url, monkeypatch):

@@ -29,7 +29,9 @@ def test_newer_database_is_refused_and_left_alone(url, tmp_path):
     store.close()
     path = tmp_path / "var/creak.db"
     before = path.read_bytes()
-    with pytest.raises(ConfigurationError, match=r"creak\.toml: store\.url: .*version 99.*up to 3"):
+    with pytest.raises(
+        ConfigurationError, match=rf"creak\.toml: store\.url: .*version 99.*up to {tables.SCHEMA_VERSION}"
+    ):
         open_store(url, source="creak.toml", key="store.url")
     assert path.read_bytes() == before
 

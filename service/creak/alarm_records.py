@@ -133,7 +133,7 @@ class Action:
     Parameters
     ----------
     alarm : str
-        Id of the occurrence.
+        Id of the occurrence; with a `node`, the one to begin if none stands, or empty.
     kind : ActionKind
     by : str
         Who.
@@ -143,6 +143,8 @@ class Action:
         End of a shelving, ns since the Unix epoch; None for anything else.
     version : int or None
         Version of the alarm that the operator has seen; None if any will do.
+    node : str
+        Of whose process alarm this is asked, whether it ever alarmed or not; empty for an occurrence.
     """
 
     alarm: str
@@ -151,6 +153,7 @@ class Action:
     comment: str = ""
     until: int | None = None
     version: int | None = None
+    node: str = ""
 
 
 @dataclass(frozen=True)
@@ -195,7 +198,7 @@ class AlarmChange:
     state : AlarmState
     active, acknowledged, shelved : bool
     since : int
-        Recorded time at which the occurrence was raised, ns since the Unix epoch.
+        Recorded time at which the occurrence was raised, or else began, ns since the Unix epoch.
     time : int
         Recorded time of this change.
     level_db : float
@@ -212,6 +215,8 @@ class AlarmChange:
         Latched: something that has gone, the alarm or its higher severity, is kept until it is acknowledged.
     guidance : str
         What to do about it.
+    never_raised : bool
+        No alarm yet, only what an operator did with that of the node.
     """
 
     id: str
@@ -236,3 +241,4 @@ class AlarmChange:
     out_of_service: bool = False
     latched: bool = False
     guidance: str = ""
+    never_raised: bool = False

@@ -242,7 +242,7 @@ class Monitor:
         """
         rules, run = self.run.alarms, self.run.id
         for name, node in self._alarms.items():
-            if node.alarm.id == action.alarm:
+            if name == action.node or (not action.node and node.alarm.id == action.alarm):
                 if action.kind is ActionKind.RELEARN and all(known.node != name for known in self._baselines):
                     return Conflict("not_allowed", f"node {name!r} has no baseline that could be replaced")
                 done = alarms.act(node.alarm, action, self._time, rules, run)
@@ -254,6 +254,8 @@ class Monitor:
                         baseline.relearn(known) if known.node == name else known for known in self._baselines
                     )
                 return done[1]
+        if action.node:
+            return Conflict("stale", f"the rig has no node {action.node!r} now")
         for key, alarm in self._quality.alarms.items():
             if alarm.id == action.alarm:
                 if action.kind is ActionKind.RELEARN:

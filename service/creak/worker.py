@@ -87,7 +87,7 @@ class _Path:
         for asked in self._desk.asked():
             done = self.monitor.act(asked.action)
             if not isinstance(done, Conflict):
-                self._hand_over(() if asked.told else done)
+                self._hand_over(done, besides=self._desk if asked.told else None)
                 self._save(self._desk)
             self._desk.answer(asked, done if isinstance(done, Conflict) else None)
 
@@ -122,9 +122,10 @@ class _Path:
         """Why a sink last refused, if one did."""
         return self._failure
 
-    def _hand_over(self, outcomes: Iterable[Outcome]) -> None:
+    def _hand_over(self, outcomes: Iterable[Outcome], besides: object = None) -> None:
+        """Give what came out to all sinks; what the store has already, to all besides the one in front of it."""
         for outcome in outcomes:
-            for sink in self._sinks:
+            for sink in (each for each in self._sinks if each is not besides):
                 try:
                     sink.take(outcome)
                 except OSError as error:

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from datetime import UTC, datetime, timedelta
 
 import httpx
 import pytest
@@ -207,13 +208,23 @@ def test_serve_ends_on_a_signal_with_a_complete_recording(serve, place):
         assert recording.end is not None
 
 
-def test_the_store_lists_what_was_recorded_and_keeps_history_over_a_restart(serve):
-    process, client = serve(pace=20.0)
+def test_the_store_lists_what_was_recorded_and_keeps_history_and_state_over_a_restart(serve):
+    """Kills a monitor that begins afresh because a quick simulation had run ahead of the wall clock."""
+    process, client = serve(pace=1000.0)
     wait_for("history", lambda: len(client.get("/api/v1/rigs/small/history").json()["items"]) > 2, process)
     assert [r["status"] for r in client.get("/api/v1/recordings").json()["items"]] == ["writing"]
+    client.post("/api/v1/rigs/small/nodes/2/retire", json={"by": "ada"}).raise_for_status()
+    out = {"2": "out_of_service"}
+    wait_for("node 2 out of service", lambda: client.get("/api/v1/rigs/small").json()["alarms"] == out, process)
+    far = (datetime.now(UTC) + timedelta(minutes=2)).isoformat()
+    wait_for("recorded time far ahead", lambda: client.get("/api/v1/rigs/small").json()["last"] > far, process)
+    before = client.get("/api/v1/rigs/small").json()
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=DEADLINE)
-    process, client = serve(pace=20.0)
+    process, client = serve(pace=1000.0)
+    after = client.get("/api/v1/rigs/small").json()
+    assert after["start"] > before["last"]
+    assert after["alarms"] == out
     wait_for("a second recording", lambda: len(client.get("/api/v1/recordings").json()["items"]) == 2, process)
     recordings = client.get("/api/v1/recordings").json()["items"]
     assert sorted(r["status"] for r in recordings) == ["complete", "writing"]

@@ -19,7 +19,7 @@ from creak.alarm_records import (
     Severity,
 )
 from creak.alarms.guidance import guidance
-from creak.alarms.table import Facts, Trigger, follow, rule, state
+from creak.alarms.table import Facts, Trigger, follow, in_sight, rule, state
 
 _NAMESPACE = uuid.UUID("6f1d2c0e-8f0b-5a3e-9a57-6372656b0001")
 
@@ -40,7 +40,7 @@ class Alarm:
     id : str
         Of the newest occurrence; empty if there was none.
     since : int
-        Recorded time at which that was raised, ns since the Unix epoch.
+        Recorded time at which that was raised, or else began, ns since the Unix epoch.
     version : int
         Counts its changes.
     severity : str
@@ -55,6 +55,8 @@ class Alarm:
         Recorded times at which on-delay, off-delay, rest after an acknowledgement and shelving end.
     by, comment : str
         Who shelved, suppressed or retired it, and why.
+    never_raised : bool
+        The newest occurrence is none yet, only what an operator did.
     """
 
     rig: str
@@ -74,6 +76,7 @@ class Alarm:
     shelved_until: int | None = None
     by: str = ""
     comment: str = ""
+    never_raised: bool = False
 
     @property
     def state(self) -> AlarmState:
@@ -149,7 +152,7 @@ def advance(alarm: Alarm, time: int, rules: AlarmRules, run: str) -> Stepped:
                     (Trigger.EXPIRE, alarm.shelved_until),
                     (Trigger.RAISE, alarm.raise_at),
                     (Trigger.CLEAR, alarm.clear_at),
-                    (Trigger.REALARM, alarm.realarm_at),
+                    (Trigger.REALARM, alarm.realarm_at if in_sight(alarm.facts) else None),
                 )
             )
             if at is not None and at <= time
@@ -179,7 +182,7 @@ def act(alarm: Alarm, action: Action, time: int, rules: AlarmRules, run: str) ->
     Alarm and tuple of AlarmChange, or Conflict
         No change if it is so already: asking twice does no harm.
     """
-    if action.alarm != alarm.id or not alarm.id:
+    if not action.node and (action.alarm != alarm.id or not alarm.id):
         return Conflict("stale", "the occurrence has ended and a newer one has taken its place")
     alarm, due = advance(alarm, time, rules, run)
     trigger = Trigger(action.kind.value)
@@ -198,8 +201,16 @@ def act(alarm: Alarm, action: Action, time: int, rules: AlarmRules, run: str) ->
         if action.until - time > round(rules.shelving_max_s * 1e9):
             return Conflict("not_allowed", f"an alarm can be shelved for at most {rules.shelving_max_s:g} s")
         alarm = replace(alarm, shelved_until=action.until)
+    if action.node and (not alarm.id or (alarm.state is AlarmState.NORMAL and not alarm.never_raised)):
+        identifier = action.alarm or _identity(alarm, run, time, "action/")
+        alarm = replace(alarm, id=identifier, since=time, version=0, severity="warning", never_raised=True)
     alarm, changes = _fire(alarm, trigger, time, rules, run, action.by, action.comment)
     return alarm, (*due, *changes)
+
+
+def end(alarm: Alarm, time: int, why: str) -> Stepped:
+    """End what stands and what hides an alarm whose monitor has gone; one that nobody has seen stays latched."""
+    return _fire(alarm, Trigger.END, time, AlarmRules(), "", comment=why)
 
 
 _OPERATORS = {
@@ -220,7 +231,8 @@ def action_of(change: AlarmChange) -> Action | None:
     if kind is None:
         return None
     until = change.shelved_until if kind is ActionKind.SHELVE else None
-    return Action(change.id, kind, change.by, change.comment, until)
+    begun = change.node if change.never_raised and change.version == 1 else ""
+    return Action(change.id, kind, change.by, change.comment, until, node=begun)
 
 
 def of_change(change: AlarmChange) -> Alarm:
@@ -231,7 +243,7 @@ def of_change(change: AlarmChange) -> Alarm:
         class_=change.class_,
         facts=Facts(
             active=change.active,
-            latched=change.latched or (not change.active and not change.acknowledged),
+            latched=change.latched or not (change.active or change.acknowledged or change.never_raised),
             acknowledged=change.acknowledged,
             shelved=change.shelved,
             suppressed=change.suppressed,
@@ -245,6 +257,7 @@ def of_change(change: AlarmChange) -> Alarm:
         condition=change.condition,
         level_db=change.level_db,
         shelved_until=change.shelved_until,
+        never_raised=change.never_raised,
     )
 
 
@@ -263,12 +276,15 @@ def _fire(
 ) -> Stepped:
     """Go where the table says, with all that belongs to it beyond the facts."""
     found = rule(alarm.facts, trigger)
-    facts = follow(alarm.facts, trigger)
+    before, facts = alarm.facts, follow(alarm.facts, trigger)
     kept: Severity | None = None if alarm.facts.acknowledged else alarm.severity
     severity = alarm.severity
     if trigger is Trigger.RAISE:
         if alarm.state is AlarmState.NORMAL or not alarm.id:
             alarm = replace(alarm, id=_identity(alarm, run, time), since=time, version=0)
+        elif alarm.never_raised:
+            alarm = replace(alarm, since=time)
+        alarm = replace(alarm, never_raised=False)
         if not alarm.facts.latched:
             kept = None
         severity = _higher(kept, alarm.standing)
@@ -287,8 +303,10 @@ def _fire(
         realarm_at=alarm.realarm_at if facts.active and facts.acknowledged else None,
         shelved_until=alarm.shelved_until if facts.shelved else None,
     )
+    if in_sight(facts) and not in_sight(before) and alarm.realarm_at is not None:
+        alarm = replace(alarm, realarm_at=max(alarm.realarm_at, time))  # one that fell due meanwhile comes now
     if trigger is Trigger.REALARM:
-        alarm = replace(alarm, realarm_at=None)  # also where it was out of sight
+        alarm = replace(alarm, realarm_at=None)
     elif trigger is Trigger.ACKNOWLEDGE and facts.active and rules.realarm_s is not None:
         alarm = replace(alarm, realarm_at=time + round(rules.realarm_s * 1e9))
     if not found.event:
@@ -322,13 +340,14 @@ def _change(alarm: Alarm, event: str, time: int, by: str, comment: str) -> Alarm
         out_of_service=facts.out_of_service,
         latched=facts.latched,
         guidance=guidance(alarm.condition),
+        never_raised=alarm.never_raised,
     )
 
 
-def _identity(alarm: Alarm, run: str, time: int) -> str:
+def _identity(alarm: Alarm, run: str, time: int, what: str = "") -> str:
     """Id of an occurrence: the same in every replay, and that of no other."""
     of = alarm.node if alarm.class_ == "process" else f"quality/{alarm.condition}/{alarm.node}"
-    return str(uuid.uuid5(_NAMESPACE, f"{run}/{of}/{time}"))
+    return str(uuid.uuid5(_NAMESPACE, f"{run}/{what}{of}/{time}"))
 
 
 def _higher(one: Severity | None, other: Severity | None) -> Severity:

@@ -63,6 +63,7 @@ class Trigger(StrEnum):
     RETIRE = "retire"
     REINSTATE = "reinstate"
     RELEARN = "relearn"
+    END = "end"  # whoever watched has gone, and nobody takes its place
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,11 @@ def _is(*names: str) -> dict[str, bool]:
     return {name.removeprefix("not_"): not name.startswith("not_") for name in names}
 
 
+HIDING = ("shelved", "suppressed", "out_of_service")
+"""Facts that keep an alarm out of sight."""
+
+_IN_SIGHT = dict.fromkeys(HIDING, False)
+
 RULES: tuple[Rule, ...] = (
     Rule(Trigger.PEND, _is("not_active"), _is("pending")),
     Rule(Trigger.PEND),
@@ -119,7 +125,7 @@ RULES: tuple[Rule, ...] = (
     Rule(Trigger.CLEAR),
     Rule(
         Trigger.REALARM,
-        _is("active", "acknowledged", "not_shelved", "not_suppressed", "not_out_of_service"),
+        _is("active", "acknowledged") | _IN_SIGHT,
         _is("not_acknowledged"),
         "realarmed",
     ),
@@ -142,6 +148,10 @@ RULES: tuple[Rule, ...] = (
     Rule(Trigger.REINSTATE, _is("out_of_service"), _is("not_out_of_service"), "reinstated"),
     Rule(Trigger.REINSTATE),
     Rule(Trigger.RELEARN, {}, {}, "relearning"),  # changes the baseline, and is told
+    Rule(Trigger.END, _is("active", "acknowledged"), _IN_SIGHT | _is("not_active", "not_latched"), "ended"),
+    Rule(Trigger.END, _is("active"), _IN_SIGHT | _is("not_active", "latched"), "ended"),
+    *(Rule(Trigger.END, _is(name), _IN_SIGHT | _is("not_pending"), "ended") for name in HIDING),
+    Rule(Trigger.END, {}, _is("not_pending")),
 )
 """The transition table; a rule without facts to set changes none."""
 
@@ -172,6 +182,11 @@ def state(facts: Facts) -> AlarmState:
     return next(name for when, name in STATES if all(getattr(facts, key) is value for key, value in when.items()))
 
 
+def in_sight(facts: Facts) -> bool:
+    """Tell whether nothing keeps an alarm from being shown."""
+    return not any(getattr(facts, name) for name in HIDING)
+
+
 def all_facts() -> Iterator[Facts]:
     """Every combination of facts, also those that no alarm comes to."""
     for values in product((False, True), repeat=len(fields(Facts))):
@@ -195,10 +210,9 @@ def diagram() -> str:
     The three ways out of sight lead back to whatever the facts then say, so they are drawn once each.
     """
     ways_out = {AlarmState.SHELVED, AlarmState.SUPPRESSED, AlarmState.OUT_OF_SERVICE}
-    hides = {"shelved", "suppressed", "out_of_service"}
     arrows: dict[tuple[AlarmState, AlarmState], list[str]] = {}
     for facts in sorted(reachable(), key=repr):
-        hidden = [name for name in hides if getattr(facts, name)]
+        hidden = [name for name in HIDING if getattr(facts, name)]
         for trigger in Trigger:
             found = rule(facts, trigger)
             after = follow(facts, trigger)

@@ -17,6 +17,7 @@ from creak.api import (
     health,
     jobs,
     metrics,
+    node_actions,
     operate,
     page,
     problems,
@@ -124,7 +125,7 @@ def create_app(
     app.add_middleware(Gate, store=opened, access=app.state.access)
     app.add_middleware(Guard)
     api = APIRouter(prefix="/api/v1")
-    for part in (rigs, structure, baselines, alarms, operate, downloads, webhooks, jobs, events):
+    for part in (rigs, structure, baselines, node_actions, alarms, operate, downloads, webhooks, jobs, events):
         api.include_router(part.router)
     app.include_router(api)
     for outside in (health, metrics, page):

@@ -1,6 +1,7 @@
 """Routes with which operators change alarms."""
 
 import time
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import anyio
@@ -91,6 +92,38 @@ async def unshelve(
     return await _act(store, alarm, ActionKind.UNSHELVE, body, response, if_match)
 
 
+@router.post("/{alarm}/suppress", response_model=Alarm, responses=_ANSWERS)
+async def suppress(
+    *, store: StoreOf, alarm: AlarmId, body: ActionBody, response: Response, if_match: IF_MATCH = None
+) -> Json:
+    """Suppress an alarm that has no meaning as the plant runs now, until `unsuppress`."""
+    return await _act(store, alarm, ActionKind.SUPPRESS, body, response, if_match)
+
+
+@router.post("/{alarm}/unsuppress", response_model=Alarm, responses=_ANSWERS)
+async def unsuppress(
+    *, store: StoreOf, alarm: AlarmId, body: ActionBody, response: Response, if_match: IF_MATCH = None
+) -> Json:
+    """End the suppression of an alarm; one that is not suppressed stays as it is."""
+    return await _act(store, alarm, ActionKind.UNSUPPRESS, body, response, if_match)
+
+
+@router.post("/{alarm}/retire", response_model=Alarm, responses=_ANSWERS)
+async def retire(
+    *, store: StoreOf, alarm: AlarmId, body: ActionBody, response: Response, if_match: IF_MATCH = None
+) -> Json:
+    """Take an alarm out of service, for maintenance, until `reinstate`."""
+    return await _act(store, alarm, ActionKind.RETIRE, body, response, if_match)
+
+
+@router.post("/{alarm}/reinstate", response_model=Alarm, responses=_ANSWERS)
+async def reinstate(
+    *, store: StoreOf, alarm: AlarmId, body: ActionBody, response: Response, if_match: IF_MATCH = None
+) -> Json:
+    """Put an alarm into service again; one that is in service stays as it is."""
+    return await _act(store, alarm, ActionKind.REINSTATE, body, response, if_match)
+
+
 @router.post("/{alarm}/relearn", response_model=Alarm, responses=_ANSWERS)
 async def relearn(
     *, store: StoreOf, alarm: AlarmId, body: ActionBody, response: Response, if_match: IF_MATCH = None
@@ -134,7 +167,7 @@ async def _act(
             rules, now = queries.alarm_rules(run), time.time_ns() if service or run is None else run["last"] or 0
             conflict = actions.carry_out(connection, action, rules, now)
             if conflict is not None:
-                raise _refused(conflict)
+                raise refused(conflict)
             return None
 
     def look(asked: str) -> bool:
@@ -143,9 +176,7 @@ async def _act(
         if status == actions.STALE and kind is not ActionKind.RELEARN and of_an_earlier_run():
             begin(orphan=True)  # the monitor that lives now began afresh, and will never know it
             return True
-        if status in {actions.STALE, actions.NOT_ALLOWED}:
-            raise _refused(Conflict("stale" if status == actions.STALE else "not_allowed", reason))
-        return status == actions.DONE
+        return done(status, reason)
 
     def of_an_earlier_run() -> bool:
         with store.read() as connection:
@@ -159,16 +190,44 @@ async def _act(
             response.headers["ETag"] = etag(change)
             return alarm_json(change)
 
-    asked = await run_sync(begin)
-    if asked is not None:
-        response.status_code = 202
-        with anyio.move_on_after(_WAIT_SECONDS):
-            while not await run_sync(look, asked):
-                await anyio.sleep(_LOOK_SECONDS)
-            response.status_code = 200
+    await wait_for_worker(await run_sync(begin), look, response)
     return await run_sync(standing)
 
 
-def _refused(conflict: Conflict) -> ProblemError:
+def done(status: str, reason: str) -> bool:
+    """Tell whether an action has been carried out.
+
+    Raises
+    ------
+    ProblemError
+        If it was refused.
+    """
+    if status in {actions.STALE, actions.NOT_ALLOWED}:
+        raise refused(Conflict("stale" if status == actions.STALE else "not_allowed", reason))
+    return status == actions.DONE
+
+
+async def wait_for_worker(asked: str | None, look: Callable[[str], bool], response: Response) -> None:
+    """Wait a moment for the answer to an action, if it was asked of a worker; the status says whether it came.
+
+    Parameters
+    ----------
+    asked : str or None
+        Id of the action; None if it is done.
+    look : callable
+        Tells whether it is done, or raises.
+    response : Response
+    """
+    if asked is None:
+        return
+    response.status_code = 202
+    with anyio.move_on_after(_WAIT_SECONDS):
+        while not await run_sync(look, asked):
+            await anyio.sleep(_LOOK_SECONDS)
+        response.status_code = 200
+
+
+def refused(conflict: Conflict) -> ProblemError:
+    """Return the problem that a conflict is."""
     title = "Stale alarm" if conflict.kind == "stale" else "Not allowed"
     return ProblemError(409, f"alarm-{conflict.kind.replace('_', '-')}", title, conflict.reason)

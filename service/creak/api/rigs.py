@@ -51,7 +51,7 @@ def list_nodes(
     of = ["nodes", rig, scope.value]
     place = read_cursor(cursor, of, (int,))
     with store.read() as connection:
-        items = queries.nodes(connection, _run(connection, rig), scope)
+        items = queries.nodes(connection, run_of(connection, rig), scope)
     first = 0 if place is None else max(place[0], 0)
     rest = first + limit
     return {
@@ -64,7 +64,7 @@ def list_nodes(
 def get_node(store: StoreOf, rig: RigName, node: NodeName, scope: ScopeOf = Scope.WINDOW) -> Json:
     """Return one node: its levels and its alarm; levels are null until the first realisation is complete."""
     with store.read() as connection:
-        run = _run(connection, rig, node)
+        run = run_of(connection, rig, node)
         return next(item for item in queries.nodes(connection, run, scope) if item["name"] == node)
 
 
@@ -72,7 +72,7 @@ def get_node(store: StoreOf, rig: RigName, node: NodeName, scope: ScopeOf = Scop
 def get_spectrum(store: StoreOf, rig: RigName, node: NodeName, scope: ScopeOf = Scope.WINDOW) -> Json:
     """Return a node's levels line by line, of the newest estimate."""
     with store.read() as connection:
-        found = queries.spectrum(connection, _run(connection, rig, node), node, scope)
+        found = queries.spectrum(connection, run_of(connection, rig, node), node, scope)
     if found is None:
         raise no_estimate(rig, node, scope.value)
     return found
@@ -86,7 +86,7 @@ def list_elements(
     of = ["elements", rig, scope.value]
     place = read_cursor(cursor, of, (int,))
     with store.read() as connection:
-        found = queries.elements(connection, _run(connection, rig), scope)
+        found = queries.elements(connection, run_of(connection, rig), scope)
     first = 0 if place is None else max(place[0], 0)
     rest = first + limit
     more = (rest,) if rest < len(found["items"]) else None
@@ -114,13 +114,13 @@ def list_history(
     place = read_cursor(cursor, of, (int,))
     wanted = queries.HistoryFilter(rig, scope, node, time_of(since, "since"), time_of(until, "until"))
     with store.read() as connection:
-        _run(connection, rig, node)
+        run_of(connection, rig, node)
         after = None if place is None else place[0]
         page = queries.history(connection, wanted, after, limit, oldest=order is Order.OLDEST)
     return {"items": page.items, "next": write_cursor(page.end, of)}
 
 
-def _run(connection: sa.Connection, rig: str, node: str | None = None) -> queries.Row:
+def run_of(connection: sa.Connection, rig: str, node: str | None = None) -> queries.Row:
     """Return the current run of a rig that has a given node.
 
     Raises

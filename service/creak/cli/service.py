@@ -24,7 +24,7 @@ from creak.cli.canlibraries import can_support
 from creak.cli.display import LiveLevels
 from creak.cli.recordings import replay_line
 from creak.cli.supervision import Supervisor
-from creak.codec import memory_of
+from creak.codec import memory_of, time_json
 from creak.config.can import CanSource
 from creak.config.model import load_model
 from creak.config.rig import load_rig
@@ -45,7 +45,8 @@ from creak.sinks.background import BackgroundStore
 from creak.sinks.catalogue import CataloguedRecorder
 from creak.sinks.protocol import Sink
 from creak.sinks.recorder import Recorder
-from creak.sinks.store import Store, StoreSink, open_store, saved_state
+from creak.sinks.restart import recorded_until, saved_state
+from creak.sinks.store import Store, StoreSink, open_store
 from creak.sinks.upkeep import Upkeep
 from creak.sources.protocol import Source
 from creak.sources.recording import Recording
@@ -256,7 +257,7 @@ def _run(
             source,
             [desk, CataloguedRecorder(recorder, store, desk.do), *more, supervisor.watch(source.run.rig.name)],
             desk=desk,
-            memory=_memory(store, source.run),
+            memory=_memory(store, source),
         )
         for source, desk, recorder, more in zip(sources, desks, recorders, displays, strict=True)
     ]
@@ -311,8 +312,12 @@ def _run(
     return 0
 
 
-def _memory(store: Store, run: Run) -> Memory | None:
-    """What the rig's monitor knew when it was last heard of; a run of the past begins with nothing."""
+def _memory(store: Store, source: Source) -> Memory | None:
+    """What the rig's monitor knew when it was last heard of; a run of the past begins with nothing.
+
+    A simulated rig may have been ahead of the wall clock: its recorded time then goes on from where it was.
+    """
+    run = source.run
     if run.source == "recording":
         return None
     saved = saved_state(store, run.rig.name)
@@ -323,7 +328,19 @@ def _memory(store: Store, run: Run) -> Memory | None:
     except InputError as error:
         _log.warning("%s: the monitor begins afresh: %s", run.rig.name, error)
         return None
-    return memory if memory.time <= run.start else None
+    reached = max(memory.time, recorded_until(store, run.rig.name))
+    if reached <= run.start:
+        return memory
+    if isinstance(source, SimulatedRig):
+        source.run = replace(run, start=reached)
+        return memory
+    _log.warning(
+        "%s: the monitor begins afresh: it knows of times up to %s, and this run begins at %s",
+        run.rig.name,
+        time_json(reached),
+        time_json(run.start),
+    )
+    return None
 
 
 def _access(settings: ServiceSettings, listener: socket.socket, store: Store) -> Access:

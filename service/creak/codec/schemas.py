@@ -166,6 +166,7 @@ LAYOUT: Final[dict[str, dict[str, str]]] = {
         "out_of_service": "bool",
         "latched": "bool",
         "guidance": "string",
+        "never_raised": "bool",
     },
     "FaultCount": {"kind": "string", "count": "int64"},
     "Counts": {

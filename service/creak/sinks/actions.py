@@ -7,7 +7,7 @@ carries it out and writes the answer. Without a worker the API does the same wit
 
 import time
 import uuid
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import sqlalchemy as sa
 
@@ -58,6 +58,7 @@ def ask(connection: sa.Connection, rig: str, action: Action, status: str = PENDI
             status=status,
             reason="",
             folded=False,
+            node=action.node,
         )
     )
     return identifier
@@ -81,7 +82,15 @@ def waiting(connection: sa.Connection, rig: str, after: int) -> list[Asked]:
     return [
         Asked(
             row["seq"],
-            Action(row["alarm"], ActionKind(row["kind"]), row["by"], row["comment"], row["until"], row["version"]),
+            Action(
+                alarm=row["alarm"],
+                kind=ActionKind(row["kind"]),
+                by=row["by"],
+                comment=row["comment"],
+                until=row["until"],
+                version=row["version"],
+                node=row["node"] or "",
+            ),
             row["status"] == DONE,
         )
         for row in connection.execute(query).mappings()
@@ -94,6 +103,48 @@ def answer(connection: sa.Connection, asked: Asked, conflict: Conflict | None) -
     if not asked.told:
         values |= {"status": DONE} if conflict is None else {"status": conflict.kind, "reason": conflict.reason}
     connection.execute(sa.update(actions).where(actions.c.seq == asked.seq).values(values))
+
+
+def carry_out_of_node(
+    connection: sa.Connection, run: sa.RowMapping, action: Action, rules: AlarmRules, now: int
+) -> Conflict | None:
+    """Do what an operator asks with the alarm of a node that no worker looks after.
+
+    Parameters
+    ----------
+    connection : sqlalchemy.Connection
+        Of a durable transaction.
+    run : sqlalchemy.RowMapping
+        The current run of the rig.
+    action : Action
+        With its `node`.
+    rules : AlarmRules
+    now : int
+        Recorded time, ns.
+
+    Returns
+    -------
+    Conflict or None
+        Why it was not done.
+    """
+    rig = run["rig"]
+    if action.kind is ActionKind.RELEARN and not _has_baseline(connection, rig, action.node):
+        return _no_baseline(action.node)
+    table = tables.alarms
+    query = sa.select(table).where(
+        table.c.run == run["id"], table.c.node == action.node, table.c.class_ == "process"
+    )
+    row = connection.execute(query.order_by(table.c.seq.desc()).limit(1)).mappings().first()
+    change = None if row is None else change_of(row)
+    alarm = alarms.Alarm(rig, action.node) if change is None else alarms.of_change(change)
+    result = alarms.act(alarm, action, now if change is None else max(now, change.time), rules, run["id"])
+    if isinstance(result, Conflict):
+        return result
+    for made in result[1]:
+        put_alarm(connection, run["id"], made)
+    if result[1]:
+        ask(connection, rig, replace(action, alarm=result[0].id), DONE)
+    return None
 
 
 def carry_out(connection: sa.Connection, action: Action, rules: AlarmRules, now: int) -> Conflict | None:
@@ -130,8 +181,8 @@ def carry_out(connection: sa.Connection, action: Action, rules: AlarmRules, now:
     if action.kind is ActionKind.RELEARN:
         if change.class_ != "process":
             return Conflict("not_allowed", "an alarm about data has no baseline")
-        if all(known.node != change.node for known in baselines.saved(connection, change.rig)):
-            return Conflict("not_allowed", f"node {change.node!r} has no baseline that could be replaced")
+        if not _has_baseline(connection, change.rig, change.node):
+            return _no_baseline(change.node)
     if not same and (not change.acknowledged or action.kind is ActionKind.RELEARN):
         return Conflict("stale", "the occurrence has ended and a newer one has taken its place")
     result = alarms.act(alarms.of_change(change), action, max(now, change.time), rules, row["run"])
@@ -141,3 +192,11 @@ def carry_out(connection: sa.Connection, action: Action, rules: AlarmRules, now:
         put_alarm(connection, row["run"], made)
     ask(connection, change.rig, action, DONE)
     return None
+
+
+def _has_baseline(connection: sa.Connection, rig: str, node: str) -> bool:
+    return any(known.node == node for known in baselines.saved(connection, rig))
+
+
+def _no_baseline(node: str) -> Conflict:
+    return Conflict("not_allowed", f"node {node!r} has no baseline that could be replaced")

@@ -48,7 +48,8 @@ def put_alarm(connection: sa.Connection, run: str, change: AlarmChange, *, keep_
 def change_of(row: sa.RowMapping) -> AlarmChange:
     """Return the newest change of an alarm as its row has it."""
     fields = {**{name: row[name] for name in _FIELDS if name in _COLUMNS}, **(row["more"] or {})}
-    return AlarmChange(**{**fields, "state": AlarmState(fields["state"])})
+    kept = {"state": AlarmState(fields["state"]), "never_raised": bool(fields["never_raised"])}
+    return AlarmChange(**{**fields, **kept})
 
 
 def tell(

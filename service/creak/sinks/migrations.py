@@ -21,7 +21,15 @@ def _to_3(connection: sa.Connection) -> None:
     connection.exec_driver_sql(f"ALTER TABLE estimates ADD COLUMN more {kind}")
 
 
-STEPS: Mapping[int, Callable[[sa.Connection], None]] = {2: _to_2, 3: _to_3}
+def _to_4(connection: sa.Connection) -> None:
+    """Actions may be asked of a node, and what they begin is no alarm yet."""
+    kind = tables.alarms.c.never_raised.type.compile(connection.dialect)
+    connection.exec_driver_sql(f"ALTER TABLE alarms ADD COLUMN never_raised {kind}")
+    if all(column["name"] != "node" for column in sa.inspect(connection).get_columns("actions")):
+        connection.exec_driver_sql("ALTER TABLE actions ADD COLUMN node TEXT")
+
+
+STEPS: Mapping[int, Callable[[sa.Connection], None]] = {2: _to_2, 3: _to_3, 4: _to_4}
 """Version to the step that reaches it from the one before."""
 
 

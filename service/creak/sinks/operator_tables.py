@@ -14,7 +14,7 @@ actions = sa.Table(
     sa.Column("id", sa.Text, nullable=False, unique=True),
     sa.Column("rig", sa.Text, nullable=False),
     sa.Column("alarm", sa.Text, nullable=False),
-    sa.Column("kind", sa.String(16), nullable=False),  # acknowledge, shelve, unshelve, relearn
+    sa.Column("kind", sa.String(16), nullable=False),  # an ActionKind
     sa.Column("by", sa.Text, nullable=False),
     sa.Column("comment", sa.Text, nullable=False),
     sa.Column("until", sa.BigInteger),  # recorded time, ns; of a shelving
@@ -23,6 +23,7 @@ actions = sa.Table(
     sa.Column("status", sa.String(16), nullable=False),  # pending, done, stale, not_allowed
     sa.Column("reason", sa.Text, nullable=False),  # why it was refused
     sa.Column("folded", sa.Boolean, nullable=False),  # the rig's monitor knows it
+    sa.Column("node", sa.Text),  # of whose alarm it is asked, whether it alarmed or not; since version 4
     sa.Index("actions_pending", "rig", "folded", "seq"),
     sqlite_autoincrement=True,
 )

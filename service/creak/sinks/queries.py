@@ -25,6 +25,7 @@ Json = dict[str, Any]
 Row = sa.RowMapping
 
 _LEVELS = tuple(NodeLevel.__dataclass_fields__)
+_OUT_OF_SIGHT = (AlarmState.SHELVED, AlarmState.SUPPRESSED, AlarmState.OUT_OF_SERVICE)
 _FAULT = tuple(Fault.__dataclass_fields__)
 
 
@@ -196,11 +197,17 @@ class AlarmFilter:
 
 
 def alarms(connection: sa.Connection, wanted: AlarmFilter, after: tuple[int, int] | None, limit: int) -> Slice:
-    """Return alarm occurrences as they stand, the one raised last first."""
+    """Return alarm occurrences as they stand, the one raised last first.
+
+    What never was an alarm is there only if states are asked for that an operator brings about.
+    """
     table = tables.alarms
     query = sa.select(table)
+    raised = sa.or_(table.c.never_raised.is_(None), sa.not_(table.c.never_raised))
     if wanted.states:
         query = query.where(table.c.state.in_([state.value for state in wanted.states]))
+        raised = sa.or_(raised, table.c.state.in_([state.value for state in _OUT_OF_SIGHT]))
+    query = query.where(raised)
     if wanted.rig is not None:
         query = query.where(table.c.rig == wanted.rig)
     if wanted.node is not None:

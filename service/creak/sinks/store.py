@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
-from creak.codec import detection_json, element_json, fault_json, memory_of, node_json, time_json
+from creak.codec import detection_json, element_json, fault_json, node_json, time_json
 from creak.config.rig import rig_toml
 from creak.records import (
     AlarmChange,
@@ -31,6 +31,7 @@ from creak.records import (
 from creak.sinks import operator_tables, tables
 from creak.sinks.alarm_rows import KEEP_EVENTS, put_alarm, tell
 from creak.sinks.database import Store, open_store
+from creak.sinks.restart import take_over
 from creak.sinks.tally import Tally
 
 __all__ = ["RUNNING", "RecordingEntry", "Store", "StoreSink", "open_store", "put_recording"]
@@ -133,8 +134,7 @@ class StoreSink:
                 sa.update(tables.rigs).where(tables.rigs.c.name == self._rig).values(run=run.id)
             ).rowcount:
                 connection.execute(sa.insert(tables.rigs).values(name=self._rig, run=run.id))
-            if run.before:
-                _carry_over(connection, run)
+            take_over(connection, run)
             self._tell(connection, [("run", self._run_event(RUNNING, run.start))])
 
     def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
@@ -278,13 +278,6 @@ class StoreSink:
         tell(connection, self._rig, news, self._keep_events)
 
 
-def saved_state(store: Store, rig: str) -> bytes | None:
-    """Return what a rig's monitor saved last; None if there is nothing."""
-    states = operator_tables.states
-    with store.read() as connection:
-        return connection.execute(sa.select(states.c.payload).where(states.c.rig == rig)).scalar()
-
-
 def put_recording(store: Store, entry: RecordingEntry) -> None:
     """Write a recording's entry, or what has changed of it.
 
@@ -352,16 +345,6 @@ def _interrupt(connection: sa.Connection, rig: str) -> None:
         sa.update(runs)
         .where(runs.c.rig == rig, runs.c.status == RUNNING)
         .values(status=RunStatus.INTERRUPTED.value, message="its worker ended without closing it")
-    )
-
-
-def _carry_over(connection: sa.Connection, run: Run) -> None:
-    """Make the alarms that the monitor remembers those of the new run: what stood still stands."""
-    memory = memory_of(run.before)
-    known = {node.alarm.id for node in memory.nodes} | {alarm.id for alarm in memory.quality.alarms.values()}
-    alarms = tables.alarms
-    connection.execute(
-        sa.update(alarms).where(alarms.c.rig == run.rig.name, alarms.c.id.in_(known - {""})).values(run=run.id)
     )
 
 

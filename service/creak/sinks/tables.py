@@ -6,7 +6,7 @@ the Unix epoch, but for the columns named ``*_at``, which are wall-clock nanosec
 
 import sqlalchemy as sa
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """Version of these tables; a database of a newer one is refused."""
 
 metadata = sa.MetaData()
@@ -141,6 +141,7 @@ alarms = sa.Table(
     sa.Column("since", _Time, nullable=False),
     sa.Column("time", _Time, nullable=False),
     sa.Column("level_db", sa.Double),
+    sa.Column("never_raised", sa.Boolean),  # null for false; since version 4
     sa.Column("more", sa.JSON),  # the fields of AlarmChange that have no column of their own; since version 2
     sa.Index("alarms_newest", "since", "seq"),
     sa.Index("alarms_of_run", "run", "seq"),
