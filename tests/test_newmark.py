@@ -1,7 +1,9 @@
 """Time stepping: against other solutions of the same equations, and where it must stop."""
 
+import sys
 from collections import deque
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +19,9 @@ from creak.mechanics.newmark import Stepper, choose_substeps
 from creak.mechanics.structure import Link, Lumped, PointMass
 from creak.mechanics.system import assemble
 from creak.records import Node, Rig
+
+sys.path.insert(0, str(Path(__file__).parent / "bench"))
+import bench_simulation
 
 FS = 1000.0
 SIZE = 512
@@ -224,3 +229,15 @@ def test_cached_code_is_out_of_date_when_a_callee_s_file_is():
     )
     assert len(law) == 1
     assert set(law) < set(solve) < set(march)
+
+
+def test_steps_as_a_newmark_in_plain_numpy_does():
+    """Newton on the elements' forces alone, against Newton on all coordinates; the peer that the benchmark times."""
+    rig, system, u = bench_simulation.study(1e9)
+    samples = 600
+    forces = (system.inputs @ u[0]).T[:samples]
+    args = system.mass, system.damping, system.stiffness, system.incidence[:, 0], 1e9, forces, 1 / rig.sample_rate
+    x = bench_simulation.numpy_newmark(*args)
+    y = next(Stepper(system, rig.sample_rate, 1, rig.hold).experiment(u[0], 1))
+    # The peer stops at a rest of 1e-10 N, of some 100 N.
+    np.testing.assert_allclose(y[:, :samples], (x @ system.outputs.T).T, atol=1e-9 * np.abs(x).max())

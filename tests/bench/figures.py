@@ -29,3 +29,12 @@ def show(title, rows, as_json):
     for row in rows:
         table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
     Console().print(table)
+
+
+def show_all(tables, as_json):
+    """Several tables, ``{title: rows}``."""
+    if as_json:
+        Console().print_json(json.dumps({"tables": tables}))
+        return
+    for title, rows in tables.items():
+        show(title, rows, False)

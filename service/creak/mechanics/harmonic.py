@@ -25,6 +25,8 @@ DEPTH: Final = 6  # earlier iterates that Anderson's acceleration combines
 FIXED_POINT_STEPS: Final = 60
 EQUIVALENT_STEPS: Final = 12
 ALIKE: Final = 0.02  # change of an equivalent linear element that makes no better map
+NEGLIGIBLE: Final = 1e-3  # share of the strongest line of a motion, below which a line asks for no samples
+FEWEST_SAMPLES: Final = 256
 FITTED: Final = 4  # experiments that equivalent linear elements are fitted to
 NEWTON_STEPS: Final = 40
 KRYLOV_STEPS: Final = 80
@@ -58,6 +60,21 @@ class Problem:
     linear: Complex
     rate: Real | None
 
+    def coarser(self) -> "Problem | None":
+        """The same on fewer samples, which still hold the third harmonics of the motion without elements.
+
+        None if there are not too many. Held inputs jump between samples, and are left as they are.
+        """
+        strength = np.abs(self.linear).max(axis=(0, 1))
+        highest = int(np.flatnonzero(strength >= NEGLIGIBLE * strength.max())[-1])
+        size = self.size
+        while size % 2 == 0 and size // 2 >= max(8 * highest, FEWEST_SAMPLES):
+            size //= 2
+        if size == self.size or self.rate is not None:
+            return None
+        L = size // 2 + 1
+        return Problem(self.elements, size, self.receptance[:L], self.jw[:L], self.linear[..., :L], None)
+
     def samples(self, lines: Complex) -> Real:
         """Time course of lines."""
         return np.asarray(scipy.fft.irfft(lines, n=self.size, norm="forward"))
@@ -78,12 +95,17 @@ class Problem:
             out[..., e, :] = element.over_period(d[..., e, :], v[..., e, :])
         return out
 
-    def forces_at(self, D: Complex, which: int) -> Complex:
-        """Lines of the forces at a motion, both ``(r, L)``; no velocity is made where no law asks for it."""
-        if any(element.law in laws.OF_VELOCITY for element in self.elements):
-            return self.lines(self.forces(*self.motion(D, which)))
+    @property
+    def of_velocity(self) -> bool:
+        """True if a law asks for the velocity."""
+        return any(element.law in laws.OF_VELOCITY for element in self.elements)
+
+    def seen(self, D: Complex, which: int) -> tuple[Real, Real]:
+        """Displacement and velocity over a period, the latter zero where no law asks for it."""
+        if self.of_velocity:
+            return self.motion(D, which)
         d = self.samples(D)
-        return self.lines(self.forces(d, d))
+        return d, np.zeros_like(d)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +128,9 @@ class Equivalent:
 
     def rest(self, problem: Problem, D: Complex, which: int) -> Complex:
         """By how much one application of the map moves the lines ``(r, L)``."""
-        return _rest(self.motion[which], self.forced, self.law, D, problem.forces_at(D, which))
+        return _rest(
+            self.motion[which], self.forced, self.law, D, problem.lines(problem.forces(*problem.seen(D, which)))
+        )
 
     def balanced(self, D: Complex, F: Complex, which: int) -> Complex:
         """Lines of the elements' forces F at a motion D, both ``(r, L)``, corrected by one application of the map.
@@ -153,8 +177,8 @@ def fitted(problem: Problem, D: Complex, which: slice = slice(None)) -> tuple[Re
     return k, c
 
 
-def linearised(problem: Problem, D: Complex | None) -> tuple[Complex, Equivalent]:
-    """Motion and map of the equivalent linear elements that reproduce themselves.
+def linearised(problem: Problem, D: Complex | None) -> tuple[Real, Real]:
+    """Stiffnesses and dampings of the equivalent linear elements that reproduce themselves, ``(r,)`` each.
 
     They are fitted to a few of the experiments: they only serve as a start and a map, and all experiments are
     of one kind.
@@ -165,10 +189,9 @@ def linearised(problem: Problem, D: Complex | None) -> tuple[Complex, Equivalent
     D : array, (E, r, L), or None
         Motion to take the elements' linear part from; None to find both, beginning with no elements.
     """
-    experiments = len(problem.linear)
-    few = slice(0, None, -(-experiments // FITTED))
+    few = slice(0, None, -(-len(problem.linear) // FITTED))
     if D is not None:
-        return D, equivalent(problem, *fitted(problem, D[few], few))
+        return fitted(problem, D[few], few)
     # Half a step in the logarithm: a stiff element seen at the motion of a free structure is far too stiff.
     k = np.zeros(len(problem.elements))
     c = np.zeros_like(k)
@@ -185,8 +208,7 @@ def linearised(problem: Problem, D: Complex | None) -> tuple[Complex, Equivalent
         moved = np.maximum(np.abs(k - before[0]), np.abs(problem.jw[1] * (c - before[1])))
         if (moved <= ALIKE * (np.abs(k) + scale)).all():
             break
-    map_ = equivalent(problem, k, c)
-    return map_.motion, map_
+    return k, c
 
 
 def _between(old: Real, new: Real, scale: Real) -> Real:

@@ -102,6 +102,15 @@ def resampled(samples: Real, size: int) -> Real:
     return samples_of(out, size)
 
 
+def finer(lines: Complex, size: int) -> Complex:
+    """Lines of `size` samples as those of twice as many, whose Nyquist line and its mirror image are two."""
+    out = np.zeros((*lines.shape[:-1], size + 1), dtype=np.complex128)
+    out[..., : size // 2 + 1] = lines
+    if size % 2 == 0:
+        out[..., size // 2] *= 0.5
+    return out
+
+
 def samples_of(lines: Complex, size: int) -> Real:
     """Time course of lines, which are a DFT divided by the number of samples."""
     return np.asarray(scipy.fft.irfft(lines, n=size, norm="forward"))

@@ -9,7 +9,7 @@ the samples are refined until the forces' folded part no longer counts.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final, Protocol, TypeVar
+from typing import Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import scipy.fft
@@ -19,7 +19,15 @@ from creak.errors import SimulationError
 from creak.mechanics import harmonic
 from creak.mechanics.electronics import AT_REST
 from creak.mechanics.newmark import Stepper
-from creak.mechanics.periodic import check_stability, line_grid, linear_part, resampled, samples_of
+from creak.mechanics.periodic import (
+    LinearPart,
+    check_stability,
+    finer,
+    line_grid,
+    linear_part,
+    resampled,
+    samples_of,
+)
 from creak.mechanics.system import System
 from creak.mechanics.tangents import force_change
 from creak.records import Complex, Hold, Real
@@ -201,16 +209,27 @@ def _solve(
     problem = harmonic.Problem(
         system.elements, size, linear.receptance, line_grid(size, rate)[1], linear.D, linear.rate
     )
+    coarse = problem.coarser()
+    rough = coarse or problem
     begin = None if guess is None else problem.lines(resampled(np.asarray(guess), size))
     with _UNHEEDED():
-        D, map_ = harmonic.linearised(problem, begin)
-    D = np.array(D)
+        k, c = harmonic.linearised(rough, None if begin is None else begin[..., : rough.size // 2 + 1])
+        map_ = harmonic.equivalent(problem, k, c)
+        coarse_map = None if coarse is None else harmonic.equivalent(coarse, k, c)
+    D = np.array(map_.motion if begin is None else begin)
     experiments = range(len(D))
     residual, iterations = np.empty(len(D)), np.empty(len(D), dtype=np.int64)
 
     def fixed_point(e: int) -> tuple[Complex, float, int]:
+        start, before = D[e], 0
         with _UNHEEDED():
-            return harmonic.fixed_point(problem, map_, D[e], e, tolerance)
+            if coarse is not None and coarse_map is not None:
+                L = coarse.size // 2 + 1
+                lines, rest, before = harmonic.fixed_point(coarse, coarse_map, start[:, :L], e, tolerance)
+                if rest <= tolerance:
+                    start = np.concatenate([lines, start[:, L:]], axis=1)
+            lines, rest, steps = harmonic.fixed_point(problem, map_, start, e, tolerance)
+        return lines, rest, before + steps
 
     def newton(e: int, start: Complex) -> None:
         with _UNHEEDED():
@@ -233,41 +252,54 @@ def _solve(
         if not residual[e] <= tolerance:
             newton_from_stepping(e)
             failed += int(not residual[e] <= tolerance)
-    pushed = list(each(lambda e: _pushed_away(problem, D[e], e), experiments))
-    for e in np.flatnonzero(pushed).tolist():
-        # An unstable motion satisfies the equations too; what time stepping from rest comes to counts.
-        residual[e] = np.inf
-        newton_from_stepping(e)
-        if not residual[e] <= tolerance:
-            break
 
-    def finish(e: int) -> tuple[Real, Real, Real, float]:
+    def finish(e: int) -> _Finished:
         with _UNHEEDED():
-            d, v = problem.motion(D[e], e)
-            f = problem.forces(d, v)
-            F = problem.lines(f)
-            moved = harmonic.apply(linear.response, map_.balanced(D[e], F, e))
-            y = samples_of(linear.y[e] - moved, size)
-            return y, d, f, _folded(problem, map_, d, v, F)
+            return _finish(problem, map_, linear, D[e], e)
 
-    y, motion, force, folded = zip(*each(finish, experiments), strict=True)
+    finished = list(each(finish, experiments))
+    for e in experiments:
+        if finished[e].pushed_away:
+            # An unstable motion satisfies the equations too; what time stepping from rest comes to counts.
+            residual[e] = np.inf
+            newton_from_stepping(e)
+            finished[e] = finish(e)
+            if not residual[e] <= tolerance:
+                break
     return SteadyState(
-        np.array(y),
-        np.array(motion),
-        np.array(force),
+        np.array([part.y for part in finished]),
+        np.array([part.motion for part in finished]),
+        np.array([part.force for part in finished]),
         iterations,
         residual,
         np.asarray(residual <= tolerance),
         factor,
-        max(folded, default=0.0),
+        max((part.folded for part in finished), default=0.0),
     )
 
 
-def _pushed_away(problem: harmonic.Problem, D: Complex, e: int) -> bool:
-    """True if an element at some time pushes away harder than the structure holds it."""
-    with _UNHEEDED():
-        d, v = problem.motion(D, e)
-        f = problem.forces(d, v)
+class _Finished(NamedTuple):
+    """What follows from the motion of the elements in one experiment."""
+
+    y: Real
+    motion: Real
+    force: Real
+    folded: float
+    pushed_away: bool
+
+
+def _finish(
+    problem: harmonic.Problem, map_: harmonic.Equivalent, linear: LinearPart, D: Complex, e: int
+) -> _Finished:
+    d, v = problem.seen(D, e)
+    f = problem.forces(d, v)
+    F = problem.lines(f)
+    y = samples_of(linear.y[e] - harmonic.apply(linear.response, map_.balanced(D, F, e)), problem.size)
+    return _Finished(y, d, f, _folded(problem, map_, D, v, F), _pushed_away(problem, d, v, f))
+
+
+def _pushed_away(problem: harmonic.Problem, d: Real, v: Real, f: Real) -> bool:
+    """True if an element at some time pushes away harder than the structure holds it; all ``(r, N)``."""
     one, none = np.ones(problem.size), np.zeros(problem.size)
     for i, element in enumerate(problem.elements):
         held = problem.receptance[0, i, i].real
@@ -300,13 +332,12 @@ def _waited(
     return last
 
 
-def _folded(
-    problem: harmonic.Problem, map_: harmonic.Equivalent, motion: Real, velocity: Real, F: Complex
-) -> float:
+def _folded(problem: harmonic.Problem, map_: harmonic.Equivalent, D: Complex, velocity: Real, F: Complex) -> float:
     """Estimate what harmonics of the forces above the highest line, folded below it, make of one experiment."""
     size = problem.size
-    force = problem.forces(resampled(motion, 2 * size), resampled(velocity, 2 * size))
+    fine = samples_of(finer(D, size), 2 * size)
+    force = problem.forces(fine, resampled(velocity, 2 * size) if problem.of_velocity else fine)
     folded = F - scipy.fft.rfft(force, norm="forward")[..., : size // 2 + 1]
     if size % 2 == 0:
         folded[..., -1] = 0.0
-    return harmonic.distance(harmonic.apply(map_.forced, folded), problem.lines(motion))
+    return harmonic.distance(harmonic.apply(map_.forced, folded), D)
