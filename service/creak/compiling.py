@@ -18,10 +18,20 @@ def compiled(function: _Function) -> _Function:
     package compiled before it, among which its callees must be; those of other packages may or may not have been
     imported by then. Where there is nowhere to write, nothing is cached.
     """
+    return _compiled(function)
+
+
+def vectorised(function: _Function) -> _Function:
+    """Compile like `compiled`, products and sums fused: for long loops over independent elements."""
+    return _compiled(function, fastmath={"contract"})
+
+
+def _compiled(function: _Function, **options: Any) -> _Function:
+    options |= {"nogil": True, "error_model": "numpy"}
     try:
-        dispatcher: Any = numba.njit(function, nogil=True, error_model="numpy", cache=True)
+        dispatcher: Any = numba.njit(function, cache=True, **options)
     except RuntimeError:
-        return cast(_Function, numba.njit(function, nogil=True, error_model="numpy"))
+        return cast(_Function, numba.njit(function, **options))
     index = dispatcher._cache._cache_file
     stamps = _stamps.setdefault(function.__module__.rpartition(".")[0], [])
     if index._source_stamp not in stamps:

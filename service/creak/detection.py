@@ -90,8 +90,8 @@ class LineSums:
         return cls(
             experiments=spectra.shape[0],
             periods=spectra.shape[1],
-            mean=(np.abs(mean) ** 2).sum(axis=0),
-            within=(np.abs(spectra - mean[:, None]) ** 2).sum(axis=(0, 1)),
+            mean=_power(mean).sum(axis=0),
+            within=_power(spectra - mean[:, None]).sum(axis=(0, 1)),
         )
 
     def __add__(self, other: "LineSums") -> "LineSums":
@@ -152,6 +152,11 @@ def detection_levels(rig: Rig, excited: LineSums, left_out: LineSums) -> tuple[D
             )
         )
     return tuple(levels)
+
+
+def _power(values: Complex) -> Real:
+    """``|x|^2`` of each, without the root that the absolute value takes."""
+    return np.asarray(values.real**2 + values.imag**2)
 
 
 def _mean_db(power: Real) -> float | None:

@@ -9,7 +9,7 @@ from creak.detection import LineSums, detection_levels
 from creak.edges import edge_remarks, edge_tests, reference
 from creak.network import estimate
 from creak.realisations import Realisation
-from creak.records import Estimate, Rig, Scope
+from creak.records import Complex, Estimate, Rig, Scope
 from creak.statistics import Sums
 
 
@@ -33,7 +33,7 @@ class Block:
     def of(cls, realisation: Realisation, inputs: int) -> "Block":
         """Sums of one realisation."""
         return cls(
-            sums=Sums.of(realisation.spectra, inputs),
+            sums=Sums.of(realisation.spectra, inputs, S=realisation.S),
             excited=LineSums.of(realisation.spectra[..., inputs:]),
             left_out=LineSums.of(realisation.left_out[..., inputs:]),
         )
@@ -41,6 +41,10 @@ class Block:
     def __add__(self, other: "Block") -> "Block":
         """Sums of both operands' realisations together."""
         return Block(self.sums + other.sums, self.excited + other.excited, self.left_out + other.left_out)
+
+    def about(self, about: Complex) -> "Block":
+        """Express the same with residuals about another matrix, ``(F, n, q)``."""
+        return replace(self, sums=self.sums.moved(about))
 
 
 class Last(Protocol):
@@ -63,12 +67,13 @@ def judged(rig: Rig, block: Block, scope: Scope, last: Last) -> Estimate:
     last : Last
         The last realisation in the block.
     """
-    chosen = reference(block.sums, tuple(node.name for node in rig.nodes))
+    sums = block.sums.normal()
+    chosen = reference(sums, tuple(node.name for node in rig.nodes))
     levels = estimate(rig, chosen.sums, scope, last.end, last.index)
     remarks = chosen.remarks
     if levels.located and scope is Scope.RUN:
         try:
-            remarks += edge_remarks(edge_tests(rig, block.sums))
+            remarks += edge_remarks(edge_tests(rig, sums))
         except np.linalg.LinAlgError:
             remarks += ("the given edges cannot be tested: the response matrix is singular",)
     return replace(levels, detection=detection_levels(rig, block.excited, block.left_out), remarks=remarks)

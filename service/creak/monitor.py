@@ -3,11 +3,9 @@
 The caller owns the loop: it hands over what a source yields and gets back what sinks are to take.
 """
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
-from operator import add
 
 from creak import alarms, baseline
 from creak.alarm_records import Action, ActionKind, Clock, Conflict, Verdict
@@ -20,6 +18,7 @@ from creak.realisations import Collector, Realisation
 from creak.records import (
     AlarmChange,
     AlarmState,
+    Complex,
     Counts,
     Estimate,
     Fault,
@@ -30,6 +29,7 @@ from creak.records import (
     Run,
     Scope,
 )
+from creak.window import Window
 
 Outcome = Frame | Fault | Estimate | AlarmChange
 
@@ -50,6 +50,8 @@ class Memory:
     baselines : tuple of Baseline
     blocks : tuple of Block
         Of the realisations in the window, oldest first.
+    older : int
+        How many of them the window sums as older ones.
     """
 
     run: str
@@ -58,6 +60,7 @@ class Memory:
     quality: quality.Quality
     baselines: tuple[Baseline, ...]
     blocks: tuple[Block, ...]
+    older: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +101,8 @@ class Monitor:
         self.run = run
         self._collector = Collector(run)
         self._watch = Watch(run)
-        self._blocks: deque[Block] = deque(maxlen=run.window)
+        self._window = Window(run.window)
+        self._about: Complex | None = None
         self._whole: Block | None = None
         rig = run.rig
         self._alarms = {node.name: alarms.NodeAlarm(alarms.Alarm(rig.name, node.name)) for node in rig.nodes}
@@ -125,7 +129,8 @@ class Monitor:
             nodes=tuple(self._alarms.values()),
             quality=self._quality,
             baselines=self._baselines,
-            blocks=tuple(self._blocks),
+            blocks=tuple(self._window.blocks),
+            older=self._window.older,
         )
 
     @property
@@ -300,7 +305,7 @@ class Monitor:
         for fault in faults:
             if fault.kind in quality.SPOILING:
                 time = max(fault.time, self.run.start)
-                self._quality, changes = quality.closed(self._quality, self.run, time, len(self._blocks), None)
+                self._quality, changes = quality.closed(self._quality, self.run, time, len(self._window), None)
                 outcomes += changes
         return outcomes
 
@@ -310,13 +315,14 @@ class Monitor:
     def _judge(self, realisation: Last, block: Block, flaws: tuple[Flaw, ...]) -> list[Outcome]:
         rig = self.run.rig
         told = self._note(*(flaw.fault for flaw in flaws))
-        self._blocks.append(block)
+        block = self._referred(block)
+        self._window.push(block)
         self._whole = block if self._whole is None else self._whole + block
-        window = judged(rig, reduce(add, self._blocks), Scope.WINDOW, realisation)
+        window = judged(rig, self._window.total, Scope.WINDOW, realisation)
         whole = judged(rig, self._whole, Scope.RUN, realisation)
         self._time = max(self._time, realisation.end)
         poor = {(flaw.fault.kind, node) for flaw in flaws for node in flaw.nodes}
-        self._quality, changes = quality.closed(self._quality, self.run, realisation.end, len(self._blocks), poor)
+        self._quality, changes = quality.closed(self._quality, self.run, realisation.end, len(self._window), poor)
         outcomes: list[Outcome] = [*told, window, whole, *changes]
         rms = self._operating_state()
         for level in window.nodes:
@@ -327,12 +333,23 @@ class Monitor:
             outcomes += changes
         return outcomes
 
+    def _referred(self, block: Block) -> Block:
+        """Take a block about the matrix that the others are taken about; a new one if it no longer fits."""
+        if self._about is not None:
+            block = block.about(self._about)
+        if self._about is None or (self._window.turns and block.sums.excess() > _EXCESS):
+            self._about = block.sums.S
+            self._window.refer(self._about)
+            self._whole = None if self._whole is None else self._whole.about(self._about)
+            block = block.about(self._about)
+        return block
+
     def _operating_state(self) -> float | None:
         """RMS of the excitation if baselines are wanted and the window is full and of one state."""
         rules = self.run.baseline
-        if not rules.realisations or len(self._blocks) < self.run.window:
+        if not rules.realisations or len(self._window) < self.run.window:
             return None
-        each = [baseline.input_rms(block.sums) for block in self._blocks]
+        each = [baseline.input_rms(block.sums) for block in self._window.blocks]
         if not baseline.same_state(min(each), max(each), rules.state_tolerance_db):
             return None
         return sum(each) / len(each)
@@ -366,7 +383,11 @@ class Monitor:
         )
         rig, width = self.run.rig, self.run.rig.q + self.run.rig.n
         shape = (self.run.steady_periods, len(rig.lines), width), (len(rig.lines), rig.n, rig.q)
-        self._blocks.extend(b for b in memory.blocks if (b.sums.period_sums.shape, b.sums.S.shape) == shape)
+        fitting = [b for b in memory.blocks if (b.sums.period_sums.shape, b.sums.S.shape) == shape]
+        if fitting:
+            self._about = fitting[-1].sums.about
+            self._window = Window(run.window, fitting, memory.older if len(fitting) == len(memory.blocks) else 0)
 
 
+_EXCESS = 1e4  # costs four of sixteen digits where the structure changes
 _TIMELESS = {FaultKind.OUT_OF_PLAN}  # such a frame is none of the run's, so its time says nothing

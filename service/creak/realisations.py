@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.fft
+from numpy.typing import NDArray
 
 from creak.detection import detection_lines
+from creak.moments import responses
 from creak.records import Complex, Fault, FaultKind, Frame, FrameStatus, Real, Rig, Run
 
 
@@ -27,12 +28,15 @@ class Realisation:
         DFT divided by N of inputs, then responses, at the excited lines.
     left_out : array, (q, P, lines, q + n)
         The same at the detection lines, odd ones first.
+    S : array, (F, n, q)
+        Its best linear approximation (28).
     """
 
     index: int
     end: int
     spectra: Complex
     left_out: Complex
+    S: Complex
 
 
 @dataclass(frozen=True)
@@ -59,8 +63,16 @@ def spectrum(rig: Rig, u: Real, y: Real, lines: Sequence[int] | None = None) -> 
     array, (F, q + n)
     """
     at = np.asarray(rig.lines if lines is None else lines)
-    channels = scipy.fft.rfft(np.concatenate((u, y)), axis=-1)[:, at]
-    return np.ascontiguousarray(channels.T / rig.period_samples)
+    spectra = np.empty((len(u) + len(y), len(at)), dtype=np.complex128)
+    _pick(np.fft.rfft(np.concatenate((u, y))), at, rig.period_samples, spectra)
+    return spectra.T
+
+
+def _pick(channels: Complex, at: NDArray[np.intp], period_samples: int, spectra: Complex) -> None:
+    """Lines of full spectra ``(channels, N/2 + 1)``, divided by N, into ``(channels, lines)``."""
+    np.take(channels, at, axis=1, out=spectra, mode="clip")
+    parts = spectra.view(np.float64)  # a division of complex numbers takes thrice as long
+    parts /= period_samples
 
 
 _SPOILING = (FaultKind.WRONG_SHAPE, FaultKind.NOT_FINITE)
@@ -70,7 +82,7 @@ _SPOILING = (FaultKind.WRONG_SHAPE, FaultKind.NOT_FINITE)
 class _Open:
     """The realisation that is being filled: a slot for every steady period of every experiment.
 
-    Its spectra hold the excited lines, then the detection lines.
+    Its spectra hold the excited lines, then the detection lines, ``(q, P, q + n, lines)``.
     """
 
     index: int
@@ -90,7 +102,10 @@ class Collector:
 
     def __init__(self, run: Run) -> None:
         self._run = run
-        self._lines = run.rig.lines + detection_lines(run.rig).all
+        rig = run.rig
+        self._lines = np.array(rig.lines + detection_lines(rig).all)
+        self._samples = np.empty((rig.q + rig.n, rig.period_samples))
+        self._channels = np.empty((rig.q + rig.n, rig.period_samples // 2 + 1), dtype=np.complex128)
         self._open: _Open | None = None
         self._closed = -1  # index of the last realisation that takes no more frames
 
@@ -111,8 +126,14 @@ class Collector:
         refusal = self._refusal(frame)
         if refusal is not None:
             return self._refuse(frame, *refusal)
+        steady = frame.period >= self._run.rig.transient_periods
+        if steady:
+            channels = self._transform(frame)
+            refusal = _not_finite(frame, channels)
+            if refusal is not None:
+                return self._refuse(frame, *refusal)
         faults = self._turn_to(frame.realisation) if frame.realisation > self._closed else ()
-        if frame.period < self._run.rig.transient_periods:
+        if not steady:
             return Collected(_judged(frame, FrameStatus.TRANSIENT), faults)
         current = self._open
         assert current is not None
@@ -120,19 +141,37 @@ class Collector:
         if current.filled[frame.experiment, period]:
             refused = self._refuse(frame, FaultKind.DOUBLED, "came already; the first one counts")
             return Collected(refused.frame, faults + refused.faults)
-        current.spectra[frame.experiment, period] = spectrum(self._run.rig, frame.u, frame.y, self._lines)
+        slot = current.spectra[frame.experiment, period]
+        _pick(channels, self._lines, self._run.rig.period_samples, slot)
         current.filled[frame.experiment, period] = True
         current.end = max(current.end, frame.time + round(self._run.rig.period_ns))
         accepted = _judged(frame, FrameStatus.ACCEPTED)
         if not current.filled.all() or current.spoilt:
             return Collected(accepted, faults)
         self._open, self._closed = None, current.index
-        fault = _singular(self._run, current)
-        if fault is not None:
-            return Collected(accepted, (*faults, fault))
-        F = len(self._run.rig.lines)
-        spectra, left_out = current.spectra[:, :, :F].copy(), current.spectra[:, :, F:]
-        return Collected(accepted, faults, Realisation(current.index, current.end, spectra, left_out))
+        rig = self._run.rig
+        F = len(rig.lines)
+        S = np.empty((rig.n, rig.q, F), dtype=np.complex128)
+        condition = np.empty(F)
+        responses(current.spectra, rig.q, S, condition)
+        if not (condition < _SINGULAR).all():
+            fault = _singular(self._run, current)
+            if fault is not None:
+                return Collected(accepted, (*faults, fault))
+        spectra = current.spectra.swapaxes(2, 3)
+        found = Realisation(current.index, current.end, spectra[:, :, :F], spectra[:, :, F:], S.transpose(2, 0, 1))
+        return Collected(accepted, faults, found)
+
+    def _transform(self, frame: Frame) -> Complex:
+        """DFT of all channels, ``(q + n, N/2 + 1)``, until the next one.
+
+        Side by side channels take less time than one by one, and in memory that is there already less than in new.
+        """
+        q = self._run.rig.q
+        self._samples[:q] = frame.u
+        self._samples[q:] = frame.y
+        with np.errstate(invalid="ignore", over="ignore"):  # samples that are not finite are found in the result
+            return np.fft.rfft(self._samples, out=self._channels)
 
     def lose(self, fault: Fault) -> tuple[Fault, ...]:
         """Take note of a frame that a source says never came; gives what follows from it."""
@@ -165,15 +204,6 @@ class Collector:
                 f"has inputs {frame.u.shape} and responses {frame.y.shape}; "
                 f"should be {expected[0]} and {expected[1]} (channel, sample)",
             )
-        for label, samples in (("input", frame.u), ("response", frame.y)):
-            wrong = ~np.isfinite(samples)
-            if wrong.any():
-                channel, sample = np.argwhere(wrong)[0]
-                return (
-                    FaultKind.NOT_FINITE,
-                    f"holds {int(wrong.sum())} samples that are not finite, the first in {label} {channel + 1}, "
-                    f"sample {sample}",
-                )
         return None
 
     def _refuse(self, frame: Frame, kind: FaultKind, reason: str) -> Collected:
@@ -196,7 +226,7 @@ class Collector:
         self._closed = index - 1
         self._open = _Open(
             index=index,
-            spectra=np.empty((rig.q, steady, len(self._lines), rig.q + rig.n), dtype=np.complex128),
+            spectra=np.empty((rig.q, steady, rig.q + rig.n, len(self._lines)), dtype=np.complex128),
             filled=np.zeros((rig.q, steady), dtype=np.bool_),
         )
         return faults
@@ -221,6 +251,22 @@ class Collector:
         )
 
 
+def _not_finite(frame: Frame, channels: Complex) -> tuple[FaultKind, str] | None:
+    """Kind and reason if a sample is not finite, which leaves no line of its channel finite."""
+    if np.isfinite(channels[:, 0]).all():
+        return None
+    for label, samples in (("input", frame.u), ("response", frame.y)):
+        wrong = ~np.isfinite(samples)
+        if wrong.any():
+            channel, sample = np.argwhere(wrong)[0]
+            return (
+                FaultKind.NOT_FINITE,
+                f"holds {int(wrong.sum())} samples that are not finite, the first in {label} {channel + 1}, "
+                f"sample {sample}",
+            )
+    return None
+
+
 def _judged(frame: Frame, status: FrameStatus, reason: str = "") -> Frame:
     if frame.status is status and frame.reason == reason:
         return frame
@@ -232,10 +278,8 @@ _SINGULAR = 1e8  # condition number of the input matrix beyond which its inverse
 
 def _singular(run: Run, current: _Open) -> Fault | None:
     """Fault if the input matrix ``(q, q)`` of a line, averaged over periods, cannot be inverted."""
-    q = run.rig.q
-    inputs = (
-        current.spectra[:, :, : len(run.rig.lines), :q].mean(axis=1).transpose(1, 2, 0)
-    )  # (F, q inputs, q experiments)
+    q, F = run.rig.q, len(run.rig.lines)
+    inputs = current.spectra[:, :, :q, :F].mean(axis=1).transpose(2, 1, 0)  # (F, q inputs, q experiments)
     condition = np.linalg.cond(inputs)
     worst = int(np.argmax(np.nan_to_num(condition, nan=np.inf)))
     if condition[worst] < _SINGULAR:

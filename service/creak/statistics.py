@@ -4,17 +4,25 @@ Per excited line a block of realisations is held in a normal form: the best line
 block itself (28) and moments of ``V = [U; R]`` with the residual ``R = Y - S U``. Two blocks are merged by moving
 both to the common ``S``, which is exact algebra on the moments (``R' = R + (S_old - S_new) U``), and adding.
 Since ``R`` is as small as noise and distortion are, nothing large cancels however high the signal-to-noise ratio;
-raw sums of ``Y`` would lose 4e-2 at 120 dB.
+raw sums of ``Y`` would lose 4e-2 at 120 dB. Blocks whose residuals are taken about one and the same matrix near
+their ``S`` (:attr:`Sums.about`) need no moving: they are added entry by entry, and brought into the normal form
+when they are read.
+
+In memory the lines come last, as :mod:`creak.moments` has them; the shapes below are views of that.
 
 Everything in :mod:`creak.network` is algebra on these sums, whose size does not depend on how many realisations
 they hold.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
+from creak.moments import residual_moments, responses, shear, shear_vectors
 from creak.records import Complex, Real
+
+_Array = TypeVar("_Array", Complex, Real)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +48,8 @@ class Sums:
         ``sum_e sum_p conj-outer(V - mean_p V)``: what changes from period to period is noise.
     period_sums : array, (P, F, q + n)
         ``sum_e V`` for each period.
+    about : array, (F, n, q), or None
+        What the residuals in the moments are taken about, ``R = Y - about U``; None for ``S``, the normal form.
     """
 
     realisations: int
@@ -49,6 +59,7 @@ class Sums:
     between: Complex
     within: Complex
     period_sums: Complex
+    about: Complex | None = None
 
     @classmethod
     def zero(cls, periods: int, lines: int, nodes: int, inputs: int) -> "Sums":
@@ -65,38 +76,40 @@ class Sums:
         )
 
     @classmethod
-    def of(cls, spectra: Complex, inputs: int) -> "Sums":
+    def of(cls, spectra: Complex, inputs: int, S: Complex | None = None) -> "Sums":
         """Sums of one complete realisation.
 
         Parameters
         ----------
         spectra : array, (q, P, F, q + n)
-            DFT of inputs, then responses: experiment, period, line, channel.
+            DFT of inputs, then responses: experiment, period, line, channel. With the lines last in memory
+            nothing is copied.
         inputs : int
             q.
+        S : array, (F, n, q), or None
+            ``mean_p(Y) mean_p(U)^-1`` if it is known already.
 
         Raises
         ------
         numpy.linalg.LinAlgError
             If the input matrix of a line is singular.
         """
-        q = inputs
-        periods = spectra.shape[1]
-        mean = spectra.mean(axis=1)  # (q, F, q + n)
-        U = mean[..., :q].transpose(1, 2, 0)  # (F, inputs, experiments)
-        Y = mean[..., q:].transpose(1, 2, 0)
-        S = _divide(Y, U)
-        V = spectra.copy()
-        V[..., q:] -= np.einsum("fij,epfj->epfi", S, spectra[..., :q])
-        V_mean = V.mean(axis=1)
+        V = np.ascontiguousarray(spectra.swapaxes(2, 3))
+        periods, width, lines = V.shape[1:]
+        if S is None:
+            S = _response(V, inputs)
+        between = np.empty((width, width, lines), dtype=np.complex128)
+        within = np.empty_like(between)
+        period_sums = np.empty((periods, width, lines), dtype=np.complex128)
+        residual_moments(V, _lines_last(S), between, within, period_sums)
         return cls(
             realisations=1,
             periods=periods,
             S=S,
-            spread=np.zeros(S.shape),
-            between=periods * _moments(V_mean.transpose(1, 2, 0)),
-            within=_moments((V - V_mean[:, None]).reshape(-1, *V.shape[2:]).transpose(1, 2, 0)),
-            period_sums=V.sum(axis=0),
+            spread=np.zeros_like(S, dtype=np.float64),
+            between=_lines_first(between),
+            within=_lines_first(within),
+            period_sums=period_sums.swapaxes(1, 2),
         )
 
     def __add__(self, other: "Sums") -> "Sums":
@@ -116,16 +129,19 @@ class Sums:
         if M == 0:
             return self
         S = (self.realisations * self.S + other.realisations * other.S) / M
+        apart = self.S - other.S
         weight = self.realisations * other.realisations / M
-        a, b = self._about(S), other._about(S)
+        about = self.about if _same(self.about, other.about) else None
+        a, b = (self, other) if about is not None else (self.moved(S), other.moved(S))
         return Sums(
             realisations=M,
             periods=self.periods,
             S=S,
-            spread=self.spread + other.spread + weight * np.abs(self.S - other.S) ** 2,
+            spread=self.spread + other.spread + weight * (apart.real**2 + apart.imag**2),
             between=a.between + b.between,
             within=a.within + b.within,
             period_sums=a.period_sums + b.period_sums,
+            about=about,
         )
 
     @property
@@ -153,22 +169,66 @@ class Sums:
         """
         q = self.inputs
         inputs, cross = self.between[:, :q, :q], self.between[:, q:, :q]
-        return self._about(self.S + _divide(cross, inputs))
+        reference = self.S if self.about is None else self.about
+        S = reference + _divide(cross, inputs)
+        return replace(self.moved(S), S=S, about=None)
 
-    def _about(self, S: Complex) -> "Sums":
-        """Express the same realisations with residuals about another ``S``: ``V' = T V``, ``T = [I 0; D I]``."""
-        D = self.S - S
+    def normal(self) -> "Sums":
+        """Express the same with residuals about ``S``."""
+        return self if self.about is None else replace(self.moved(self.S), about=None)
+
+    def excess(self) -> float:
+        """How much larger residuals are between experiments than within, as power: rounding grows by this factor.
+
+        Returns
+        -------
+        float
+            Largest ratio of a node, over all lines, ``sum_e P |mean_p R|^2`` over the deviations from it.
+        """
+        q = self.inputs
+        between, within = (np.einsum("fii->i", moments)[q:].real for moments in (self.between, self.within))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return float(np.nan_to_num(between / within, nan=0.0, posinf=np.inf).max())
+
+    def moved(self, about: Complex) -> "Sums":
+        """Express the same with residuals about another matrix: ``V' = T V``, ``T = [I 0; D I]``.
+
+        Parameters
+        ----------
+        about : array, (F, n, q)
+        """
+        D = (self.S if self.about is None else self.about) - about
         if not D.any():
-            return self
-        return Sums(
-            realisations=self.realisations,
-            periods=self.periods,
-            S=S,
-            spread=self.spread,
-            between=_shear(self.between, D),
-            within=_shear(self.within, D),
-            period_sums=_shear_vector(self.period_sums, D),
+            return replace(self, about=about)
+        D = _lines_last(D)
+        between, within = (_lines_last(moments) for moments in (self.between, self.within))
+        sheared = np.empty_like(between), np.empty_like(within)
+        shear(between, D, sheared[0])
+        shear(within, D, sheared[1])
+        vectors = np.ascontiguousarray(self.period_sums.swapaxes(1, 2))
+        period_sums = np.empty_like(vectors)
+        shear_vectors(vectors, D, period_sums)
+        return replace(
+            self,
+            between=_lines_first(sheared[0]),
+            within=_lines_first(sheared[1]),
+            period_sums=period_sums.swapaxes(1, 2),
+            about=about,
         )
+
+
+def _response(V: Complex, q: int) -> Complex:
+    """``mean_p(Y) mean_p(U)^-1`` of one realisation, ``(q, P, q + n, F)`` to ``(F, n, q)``."""
+    S = np.empty((V.shape[2] - q, q, V.shape[3]), dtype=np.complex128)
+    condition = np.empty(V.shape[3])
+    responses(V, q, S, condition)
+    if np.isinf(condition).any():
+        raise np.linalg.LinAlgError("the input matrix of a line is singular")
+    return _lines_first(S)
+
+
+def _same(a: Complex | None, b: Complex | None) -> bool:
+    return a is not None and b is not None and (a is b or np.array_equal(a, b))
 
 
 def _divide(Y: Complex, U: Complex) -> Complex:
@@ -177,23 +237,10 @@ def _divide(Y: Complex, U: Complex) -> Complex:
     return np.asarray(transposed.swapaxes(-1, -2), dtype=np.complex128)
 
 
-def _moments(V: Complex) -> Complex:
-    """``V V^H`` per line: ``(F, channels, repetitions)`` to ``(F, channels, channels)``."""
-    return V @ V.conj().swapaxes(-1, -2)
+def _lines_last(matrices: Complex) -> Complex:
+    """``(F, rows, columns)`` as :mod:`creak.moments` takes them, ``(rows, columns, F)``."""
+    return np.ascontiguousarray(matrices.transpose(1, 2, 0))
 
 
-def _shear(moments: Complex, D: Complex) -> Complex:
-    """``T A T^H`` with ``T = [I 0; D I]``, ``(F, q + n, q + n)``."""
-    q = D.shape[-1]
-    rows = moments.copy()
-    rows[:, q:] += D @ rows[:, :q]
-    rows[:, :, q:] += rows[:, :, :q] @ D.conj().swapaxes(-1, -2)
-    return rows
-
-
-def _shear_vector(vectors: Complex, D: Complex) -> Complex:
-    """``T v`` for stacks of vectors, ``(P, F, q + n)``."""
-    q = D.shape[-1]
-    sheared = vectors.copy()
-    sheared[..., q:] += np.einsum("fij,pfj->pfi", D, vectors[..., :q])
-    return sheared
+def _lines_first(matrices: _Array) -> _Array:
+    return matrices.transpose(2, 0, 1)
