@@ -83,7 +83,10 @@ def _lumped(spec):
 
 
 def _beam(spec):
-    """Hermite elements whose matrices come from quadrature of their shape functions; modes below 8 kHz."""
+    """Hermite elements whose matrices come from quadrature of their shape functions; modes below 8 kHz.
+
+    Points ``spec["hidden"]``, positions by name, are neither driven nor measured.
+    """
     count = spec["elements"]
     a = spec["length"] / count
     area = spec["width"] * spec["thickness"]
@@ -105,6 +108,17 @@ def _beam(spec):
         row[2 * round(station["position"] / a)] = 1.0
         points[name] = row
         mass += station["moving_mass"] * np.outer(row, row)
+    for name, position in spec.get("hidden", {}).items():
+        e = min(int(position / a), count - 1)
+        x = position / a - e
+        row = np.zeros(size)
+        row[2 * e : 2 * e + 4] = (
+            1 - 3 * x**2 + 2 * x**3,
+            a * (x - 2 * x**2 + x**3),
+            3 * x**2 - 2 * x**3,
+            a * (x**3 - x**2),
+        )
+        points[name] = row
     factor = np.linalg.cholesky(mass)
     inverse = np.linalg.inv(factor)
     squares, turn = np.linalg.eigh(inverse @ stiffness @ inverse.T)

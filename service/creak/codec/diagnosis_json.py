@@ -82,6 +82,8 @@ def _where(place: MissingForce) -> Json:
         "band_hz": [_number(edge) for edge in place.band_hz],
         "pattern": place.pattern,
         "residual": _number(place.residual),
+        "position": _number(place.position),
+        "position_standard_error": _number(place.position_error),
     }
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from creak.gap import reference
+from creak.gap.between import locate
 from creak.gap.force import force_curves, missing_force
 from creak.gap.hypothesis import Hypothesis, apply
 from creak.gap.levels import Division, Level, band_shares, db, divide, gap_levels, level, node_gaps, noise_bound
@@ -14,9 +15,10 @@ from creak.gap.records import Cause, Diagnosis, MissingForce, Validation, Verdic
 from creak.gap.reference import seen_by, shared_errors, widened
 from creak.gap.refine import Refined, Setting, refine
 from creak.gap.regression import Indices
-from creak.gap.search import Search, Searched
+from creak.gap.search import Ranked, Search, Searched
 from creak.gap.verdict import CLOSED, WITHIN_DB, as_causes, as_corrections, judge, probabilities
 from creak.gap.view import check_stable, hold_factor, lines_of
+from creak.mechanics.structure import Matrices
 from creak.mechanics.system import Model, assemble
 from creak.mechanics.vocabulary import VOCABULARY
 from creak.records import Rig
@@ -75,7 +77,7 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _s
     rig, data = seen_by(model, rig), widened(rig, model, data)
     halves = _halves(data)
     shown = halves.held if len(halves.held) else halves.fitted
-    notes = [*reference.notes(model), *_notes(rig, data, halves)]
+    notes = [*reference.notes(model), *_notes(rig, model, data, halves)]
     setting = Setting(rig, model, data, len(data.variance))
     progress("simulating the model", 0.0)
     every = setting.simulate(Hypothesis(), np.arange(len(data.u)))
@@ -109,12 +111,29 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _s
         return result
     setting = replace(setting, top=_top(rig, data, rest))
     search = Search(setting, halves.fitted, halves.held, progress)
-    searched = search.run()
+    progress("places without a sensor", 0.05)
+    hidden = locate(setting, halves.fitted, halves.held, search.floor, search.explains)
+    if hidden is None:
+        searched = search.run()
+    else:
+        setting = hidden.setting
+        notes += hidden.notes()
+        places: list[tuple[float, str, tuple[str, ...]]] = [(hidden.rest, "internal", hidden.at)]
+        if hidden.refined is not None:
+            searched = Searched((Ranked(hidden.refined, 0.0),), True, places, whole=True)
+        elif rig.n > 2:  # the place is known, its law is none of the vocabulary
+            searched = Searched((), False, places)
+        else:
+            searched = search.run()
+            searched = replace(searched, places=places + searched.places)
     if not searched.ranked and db(float(before.power.mean())) - db(float(before.noise.mean())) < 0.1:
         notes.append("the gap lies outside the 99 % bound of noise, but by less than 0.1 dB; no effect was found")
         return replace(result, not_claimed=tuple(notes))
     progress("final fit", 0.85)
-    return _concluded(result, setting, search, searched, halves, before, division, notes, progress)
+    concluded = _concluded(result, setting, search, searched, halves, before, division, notes, progress)
+    if hidden is None:
+        return concluded
+    return replace(concluded, where=tuple(hidden.on(force) for force in concluded.where))
 
 
 def _concluded(
@@ -133,7 +152,8 @@ def _concluded(
     tested = tuple(VOCABULARY)
     after, final = before, None
     if searched.ranked:
-        final = _final(setting, searched.ranked[0].refined, halves)
+        best = searched.ranked[0].refined
+        final = best if searched.whole else _final(setting, best, halves)
         steady = setting.simulate(final.hypothesis, shown)
         if steady.settled:
             after = level(data, steady.y, shown)
@@ -213,7 +233,7 @@ def _top(rig: Rig, data: PeriodicData, rest: np.ndarray) -> int:
     return int(min(max((above[-1] + 1) * block if len(above) else 0, least), lines))
 
 
-def _notes(rig: Rig, data: PeriodicData, halves: _Halves) -> list[str]:
+def _notes(rig: Rig, model: Model, data: PeriodicData, halves: _Halves) -> list[str]:
     notes = []
     if not halves.realisations:
         notes.append(
@@ -224,7 +244,10 @@ def _notes(rig: Rig, data: PeriodicData, halves: _Halves) -> list[str]:
         notes.append("one node is measured, so ground, actuator and sensor are told apart by their laws alone")
     if data.degrees <= 3:
         notes.append("the noise is known from very few periods")
-    notes.append("effects between points that are not measured were not tested")
+    if rig.n == 1:
+        notes.append("effects at points without a sensor were not tested, since one sensor cannot place them")
+    elif isinstance(model, Matrices):
+        notes.append("effects at degrees of freedom that the model does not name were not tested")
     return notes
 
 

@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from creak.gap.candidates import group_of
+from creak.gap.hidden import see_beyond
 from creak.gap.hypothesis import Hypothesis, apply
 from creak.gap.records import ForceCurve, MissingForce, Pattern
 from creak.gap.refine import Setting
 from creak.gap.regression import LINEAR, Indices, LinearKey
 from creak.gap.scan import strongest_lines
-from creak.gap.view import View, see
+from creak.gap.view import View
 from creak.mechanics.effects import GROUND, Damping, Effect, Mass, Restoring, Stiffness
 from creak.mechanics.electronics import Electronic
 from creak.records import Complex, Real
@@ -52,11 +53,11 @@ def missing_force(
         What a free force leaves at every place, the best first.
     experiments : array of int
     """
-    view = see(setting.rig, setting.model, setting.data, setting.top)
     acting = acting_places(hypothesis)
     if not acting:
         best = places[0][0]
         acting = [(group, at) for rest, group, at in places if rest <= 1.02 * best + 0.02][:1]
+    view = see_beyond(setting, [at for _, at in acting])
     residuals = {(group, frozenset(at)): rest for rest, group, at in places}
     forces = _joint_forces(view, acting, experiments)
     powers = []
@@ -131,7 +132,7 @@ def force_curves(
         )
         model = apply(setting.model, others)
         data = replace(setting.data, u=setting.data.u[one], y=setting.data.y[one], Y=setting.data.Y[one])
-        view = see(setting.rig, model, data, setting.top)
+        view = see_beyond(replace(setting, model=model, data=data), [place.at])
         group = place.pattern if place.pattern in ("actuator", "sensor") else "internal"
         pattern = view.pattern(place.at, group)
         power = np.sum(np.abs(pattern) ** 2, axis=1)

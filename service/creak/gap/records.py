@@ -102,6 +102,8 @@ class MissingForce:
     pattern : str
     residual : float
         Whitened power that a free force here leaves, relative to noise: 1 at the right place.
+    position, position_error : float or None
+        Along a beam and its standard error, m, where the place lies between sensors.
     """
 
     at: tuple[str, ...]
@@ -109,6 +111,8 @@ class MissingForce:
     band_hz: tuple[float, float]
     pattern: Pattern
     residual: float
+    position: float | None = None
+    position_error: float | None = None
 
 
 @dataclass(frozen=True)

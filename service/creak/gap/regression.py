@@ -101,7 +101,7 @@ class Sums:
         elements = linear_elements(view.names)
         names = properties_of(view.model)
         self.elements: list[LinearKey] = [*elements, *((name, ()) for name in names)]
-        lines = len(view.s)
+        lines, n = len(view.s), view.rig.n
         self.q = np.stack([view.pattern(at, "internal") for _, at in elements], axis=-1)
         self.phi = np.stack(
             [(view.D @ view.weights(at)) * view.s ** LINEAR[kind] for kind, at in elements], axis=-1
@@ -109,7 +109,9 @@ class Sums:
         self.whole = np.zeros((*view.r.shape, len(names)), dtype=np.complex128)
         for i, name in enumerate(names):
             change = stiffness_change(view.rig, view.model, name, view.s)
-            self.whole[..., i] = np.einsum("lnm,elm->eln", (view.columns @ change) / view.sigma[..., None], view.D)
+            self.whole[..., i] = np.einsum(
+                "lnm,elm->eln", (view.columns[..., :n] @ change) / view.sigma[..., None], view.D[..., :n]
+            )
         self._along: dict[tuple[int, bytes, bytes], Complex] = {}
         self.counts = tuple(len(chosen) * lines * view.rig.n for chosen in self.sets)
         between = np.einsum("lni,lnj->lij", self.q.conj(), self.q)

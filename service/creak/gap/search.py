@@ -55,11 +55,14 @@ class Searched:
         The best one leaves noise.
     places : list
         Places by what a free force there leaves, the linear part as the best hypothesis has it.
+    whole : bool
+        The best one was fitted to all experiments that may be fitted.
     """
 
     ranked: tuple[Ranked, ...]
     explained: bool
     places: list[tuple[float, str, tuple[str, ...]]] = field(default_factory=list)
+    whole: bool = False
 
 
 class Search:

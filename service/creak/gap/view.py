@@ -51,6 +51,9 @@ class View:
         Responses of the model's linear part and of its own forces on the measured motion, before its sensors.
     r : array, (E, L, n)
         Whitened motion that the model leaves.
+    names : tuple of str
+        Names of the nodes; a point that is not measured may follow, with its column and motion in `columns`,
+        `d`, `v` and `D`.
     """
 
     rig: Rig
@@ -67,15 +70,11 @@ class View:
     D: Complex
     motion: Real
     r: Complex
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the nodes."""
-        return tuple(node.name for node in self.rig.nodes)
+    names: tuple[str, ...]
 
     def weights(self, at: tuple[str, ...]) -> Real:
-        """Incidence of an internal place over the nodes, ``(n,)``."""
-        b = np.zeros(self.rig.n)
+        """Incidence of an internal place over the names, ``(n,)`` where all are measured."""
+        b = np.zeros(len(self.names))
         for name, sign in zip(at, (1.0, -1.0), strict=False):
             if name != GROUND:
                 b[self.names.index(name)] = sign
@@ -197,6 +196,7 @@ def see(rig: Rig, model: Model, data: PeriodicData, top: int | None = None) -> V
         D[:, kept],
         samples,
         ((recorded - data.Y) / sigma)[:, kept],
+        tuple(node.name for node in rig.nodes),
     )
 
 

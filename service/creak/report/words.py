@@ -106,8 +106,13 @@ def place(at: tuple[str, ...], effect: str = "") -> str:
         return f"at the {kind} of node {at[0]}" if kind in {"actuator", "sensor"} else f"at node {at[0]}"
     if GROUND in at:
         node = at[0] if at[1] == GROUND else at[1]
-        return f"at node {node}" if effect == "mass" else f"between node {node} and {GROUND}"
+        return f"at {_point(node)}" if effect == "mass" else f"between {_point(node)} and {GROUND}"
     return f"between nodes {at[0]} and {at[1]}"
+
+
+def _point(name: str) -> str:
+    """A node, or a point of a beam that has no sensor and is named after its position in m."""
+    return f"{name.removeprefix('x=')} m along the beam" if name.startswith("x=") else f"node {name}"
 
 
 def where(at: tuple[str, ...]) -> str:
@@ -117,6 +122,8 @@ def where(at: tuple[str, ...]) -> str:
 
 def missing_place(force: MissingForce) -> str:
     """Where a missing force acts, in words."""
+    if force.position is not None and force.position_error is not None:
+        return f"at {quantity(force.position, force.position_error, 'm')} along the beam"
     return place(force.at, force.pattern if force.pattern in {"actuator", "sensor"} else "")
 
 
