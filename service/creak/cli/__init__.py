@@ -5,7 +5,19 @@ from collections.abc import Sequence
 
 import typer
 
-from creak.cli import bench, diagnose, excitation, export, keys, paper, recordings, reference, rig, service
+from creak.cli import (
+    bench,
+    configuration,
+    diagnose,
+    excitation,
+    export,
+    keys,
+    paper,
+    recordings,
+    reference,
+    rig,
+    service,
+)
 from creak.errors import CreakError, InputError
 
 # typer carries a click of its own and exports this one of its errors; what it derives from are all the others.
@@ -25,6 +37,7 @@ bench.add_to(app)
 paper.add_to(app)
 excitation.add_to(app)
 keys.add_to(app)
+configuration.add_to(app)
 rig.add_to(app)
 diagnose.add_to(app)
 reference.add_to(app)

@@ -14,32 +14,47 @@ Option = str | int | float | bool
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 class CounterTable(_Strict):
     """``counters.<message>``: by which counter the samples of one message are placed."""
 
-    signal: Name  # in the message itself, or in the SYNC message that goes before it
+    signal: Name
+    """In the message itself, or in the SYNC message that goes before it."""
     counts: Literal["samples", "frames"] = "samples"
+    """What it counts."""
     wraps: Annotated[int, Field(ge=2, strict=True)] | None = None
+    """Value at which it begins again; that of its bits if left out."""
     offset: Annotated[int, Field(strict=True)] = 0
+    """Samples by which the message is late."""
 
 
 class SignalsTable(_Strict):
     """``[rigs.source.signals]``: names as ``Message.Signal``; ``{}`` stands for 0, 1, 2 ... in one frame."""
 
     inputs: dict[str, Name | list[Name]] = {}
+    """Signals of the inputs by node, `Message.Signal`; `{}` stands for 0, 1, 2 ... in one frame."""
     responses: dict[str, Name | list[Name]] = {}
+    """Signals of the responses by node."""
     counter: Name | None = None
+    """Signal of the sample counter."""
     counts: Literal["samples", "frames"] = "samples"
+    """What the counter counts."""
     wraps: Annotated[int, Field(ge=2, strict=True)] | None = None
+    """Value at which the counter begins again."""
     counters: dict[str, CounterTable] = {}
+    """Counters of messages that have their own, by message."""
     realisation: Name | None = None
+    """Signal of the marker."""
     experiment: Name | None = None
+    """Signal of the marker."""
     period: Name | None = None
+    """Signal of the marker."""
     valid: list[Name] = []
+    """Signals that must not be 0."""
     checksum: list[Name] = []
+    """Signals that hold a checksum of their frame."""
 
     @model_validator(mode="after")
     def _markers_from_the_coarsest(self) -> Self:
@@ -59,18 +74,31 @@ class CanSource(_Strict):
     """``[rigs.source]`` of kind can."""
 
     kind: Literal["can"]
+    """A CAN bus, or its logs."""
     dbc: Path
+    """Describes the frames."""
     interface: Name | None = None
+    """Of python-can, such as socketcan."""
     channel: Annotated[int, Field(strict=True)] | Name | None = None
+    """Of the interface, such as can0."""
     fd: bool = False
+    """CAN FD."""
     bitrate: Count | None = None
+    """Of the bus."""
     data_bitrate: Count | None = None
+    """Of CAN FD."""
     options: dict[str, Option] = {}
+    """Further ones of the interface."""
     logs: list[Path] = []
+    """Files instead of an interface."""
     steady_periods: Count = 2
-    silence: Positive = 1.0  # s without a frame of the rig after which it is silent
-    patience: Annotated[float, Field(gt=0, lt=1)] = 0.5  # periods that a frame may be late
+    """Periods of an experiment after the transient ones."""
+    silence: Positive = 1.0
+    """Seconds without a frame of the rig after which it is silent."""
+    patience: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    """Periods that a frame may be late."""
     signals: SignalsTable = SignalsTable()
+    """Which signal is what; told by their names if left out."""
 
     @model_validator(mode="after")
     def _a_bus_or_logs(self) -> Self:

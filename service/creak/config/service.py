@@ -16,7 +16,7 @@ from pydantic_settings import (
 
 from creak.config.alarms import AlarmsTable, BaselineTable, LimitsTable
 from creak.config.can import CanSource
-from creak.config.fields import Count, Positive, Strict
+from creak.config.fields import AS_TOLD, Count, Positive, Strict, Told
 from creak.config.validation import explain, parse_toml, read_text
 from creak.errors import ConfigurationError
 
@@ -28,23 +28,31 @@ class ServerTable(Strict):
     """``[server]``: where the API listens."""
 
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
+    """Address to listen on; beyond loopback every request needs a key."""
     port: Annotated[int, Field(ge=0, le=65535)] = 8300
+    """Port of the API; 0 for a free one."""
     requests_per_second: Positive = 500.0
+    """That one client may make."""
 
 
 class StoreTable(Strict):
     """``[store]``: where the state lies; empty means SQLite in the data directory."""
 
     url: str = ""
+    """SQLite or PostgreSQL (`postgresql+psycopg://...`); empty for `creak.db` in the data directory."""
 
 
 class WebhooksTable(Strict):
     """``[webhooks]``: networks beyond the public ones where receivers may live."""
 
     allow: list[str] = Field(default_factory=list)
+    """Networks beyond the public ones where receivers may live."""
     timeout_seconds: Positive = 10.0
+    """That one attempt may take."""
     per_minute: Positive = 120.0
+    """Requests that one receiver gets at most."""
     disable_after_hours: Positive = 120.0
+    """Of failure without a success, after which a receiver is disabled."""
 
     @field_validator("allow")
     @classmethod
@@ -58,34 +66,48 @@ class RecordingTable(Strict):
     """``[recording]``: when a new part of a recording is begun, at the next whole realisation."""
 
     max_bytes: Count = 2_000_000_000
+    """Size after which a new part is begun, at the next realisation."""
     max_seconds: Positive = 86_400.0
+    """Recorded time after which a new part is begun."""
     budget_bytes: Count | None = None
+    """Of all recordings together; the oldest are removed. No limit if left out."""
 
 
 class JobsTable(Strict):
     """``[jobs]``: diagnoses and replays that are asked for over REST."""
 
-    at_once: Annotated[int, Field(ge=0, le=64, strict=True)] = 1
+    at_once: Annotated[int, Field(ge=0, le=64, strict=True), AS_TOLD] = 1
+    """Diagnoses and replays that run at the same time; 0 for none."""
     max_seconds: Positive = 1800.0
+    """After which one is ended."""
 
 
 class SimulatedSource(Strict):
     """``[rigs.source]`` of kind simulated: the rig's model plays the rig."""
 
     kind: Literal["simulated"]
+    """The rig is simulated by its model."""
     rms: Positive = 1.0
+    """RMS value of every input, in its unit."""
     snr_db: Annotated[float, Field(allow_inf_nan=False)] | None = 40.0
+    """Signal-to-noise ratio of the responses."""
     seed: Annotated[int, Field(ge=0)] = 1
+    """Of excitation and noise."""
     steady_periods: Count = 2
+    """Periods of an experiment after the transient ones."""
     realisations: Count | None = None
+    """How many; without end if left out."""
     pace: Annotated[float, Field(gt=0)] | None = 1.0
+    """Recorded seconds a second."""
 
 
 class RecordingSource(Strict):
     """``[rigs.source]`` of kind recording: parts of one recorded run, in order."""
 
     kind: Literal["recording"]
+    """Recordings are played."""
     files: Annotated[list[Path], Field(min_length=1)]
+    """Parts of one recorded run."""
 
 
 class ForeignSource(Strict):
@@ -108,12 +130,19 @@ class RigTable(Strict):
     """One of ``[[rigs]]``."""
 
     rig: Path
+    """Rig file."""
     model: Path | None = None
+    """Model file, for a simulated source and for diagnoses."""
     window: Count = 4
+    """Complete realisations over which live levels are taken."""
     limits: LimitsTable = LimitsTable()
+    """When a node alarms."""
     alarms: AlarmsTable = AlarmsTable()
+    """How alarms live."""
     baseline: BaselineTable = BaselineTable()
+    """What is learnt of a healthy node."""
     source: SourceTable
+    """Where the frames come from."""
 
     @model_validator(mode="after")
     def _a_simulated_rig_has_a_model(self) -> Self:
@@ -130,20 +159,45 @@ class RigTable(Strict):
         return self
 
 
+class _Environment(EnvSettingsSource):
+    """The environment, its words marked as such."""
+
+    def __call__(self) -> dict[str, Any]:
+        return {name: _told(value) for name, value in super().__call__().items()}
+
+
+def _told(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _told(item) for key, item in value.items()}
+    return Told(value) if isinstance(value, str) else value
+
+
 class ServiceSettings(BaseSettings):
     """All of ``creak.toml``, overridden from the environment."""
 
     model_config = SettingsConfigDict(
-        env_prefix=PREFIX, env_nested_delimiter="__", extra="forbid", frozen=True, hide_input_in_errors=False
+        env_prefix=PREFIX,
+        env_nested_delimiter="__",
+        extra="forbid",
+        frozen=True,
+        hide_input_in_errors=False,
+        use_attribute_docstrings=True,
     )
 
     data: Path = Path("var")
+    """Directory of recordings and of the embedded store."""
     server: ServerTable = ServerTable()
+    """Where the API listens."""
     store: StoreTable = StoreTable()
+    """Where the state lies."""
     webhooks: WebhooksTable = WebhooksTable()
+    """How receivers are told."""
     recording: RecordingTable = RecordingTable()
+    """How recordings are kept."""
     jobs: JobsTable = JobsTable()
+    """Diagnoses and replays that are asked for over REST."""
     rigs: Annotated[list[RigTable], Field(min_length=1)]
+    """What is monitored."""
 
     @classmethod
     def settings_customise_sources(
@@ -155,7 +209,7 @@ class ServiceSettings(BaseSettings):
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """The environment wins over the file (which is handed over as the initial values)."""
-        return EnvSettingsSource(settings_cls), init_settings
+        return _Environment(settings_cls), init_settings
 
     @property
     def store_url(self) -> str:
