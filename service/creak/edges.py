@@ -11,7 +11,7 @@ import scipy.special
 from creak.network import fitted_parameters, node_to_node
 from creak.records import Complex, Real, Rig
 from creak.significance import pooled_p_value
-from creak.statistics import Sums
+from creak.statistics import Sums, quadratic
 
 
 @dataclass(frozen=True)
@@ -118,20 +118,21 @@ def reference(sums: Sums, names: tuple[str, ...]) -> Reference:
     Parameters
     ----------
     sums : Sums
+        In the normal form.
     names : tuple of str, (n,)
         Nodes.
     """
-    q = sums.inputs
     try:
-        better = sums.about_least_squares()
+        S = sums.least_squares()
     except np.linalg.LinAlgError:
         return Reference(sums)
+    eye = np.broadcast_to(np.eye(len(names), dtype=np.complex128), (len(S), len(names), len(names)))
 
-    def power(one: Sums) -> Real:
-        moments = one.between + one.within
-        return np.asarray(np.einsum("fii->i", moments)[q:].real, dtype=np.float64)
+    def power(about: Complex) -> Real:
+        forms = np.concatenate((sums.S - about, eye), axis=2)
+        return np.asarray(sum(quadratic(forms, moments).sum(axis=0) for moments in (sums.between, sums.within)))
 
-    plain, least = power(sums), power(better)
+    plain, least = power(sums.S), power(S)
     excess = np.zeros_like(plain)
     known = least > 0
     excess[known] = 10 * np.log10(np.maximum(plain[known] / least[known], 1.0))
@@ -142,7 +143,7 @@ def reference(sums: Sums, names: tuple[str, ...]) -> Reference:
         "amplitudes differ between realisations, so levels are taken about the least-squares approximation; "
         f"about the mean of (28) the classical residual of node {names[worst]} is {excess[worst]:.2f} dB higher"
     )
-    return Reference(better, (sentence,))
+    return Reference(sums.about_least_squares(), (sentence,))
 
 
 def _split(rig: Rig, sums: Sums) -> tuple[Real, Real]:
@@ -152,11 +153,7 @@ def _split(rig: Rig, sums: Sums) -> tuple[Real, Real]:
     pull = G_y - np.eye(n)
     misfit = pull @ sums.S
     misfit[:, np.arange(n), np.arange(n)] += G_u
-    return _form(misfit, sums.between[:, :n, :n]), _form(pull, sums.between[:, n:, n:])
-
-
-def _form(rows: Complex, moments: Complex) -> Real:
-    return np.asarray(np.einsum("fij,fij->fi", rows @ moments, rows.conj()).real, dtype=np.float64)
+    return quadratic(misfit, sums.between[:, :n, :n]), quadratic(pull, sums.between[:, n:, n:])
 
 
 def _most_missed(rig: Rig, sums: Sums, i: int) -> str | None:

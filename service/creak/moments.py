@@ -266,3 +266,51 @@ def shear_vectors(vectors: Complex, D: Complex, sheared: Complex) -> None:
             for j in range(q):
                 for f in range(F):
                     sheared[p, q + i, f] += D[i, j, f] * vectors[p, j, f]
+
+
+@vectorised
+def quadratic_forms(forms: Complex, moments: Complex, powers: Real) -> None:
+    """``g A g^H`` per row and line.
+
+    Parameters
+    ----------
+    forms : array, (rows, channels, F)
+        g.
+    moments : array, (channels, channels, F)
+        A, Hermitian; the lower half is read.
+    powers : array, (rows, F)
+        Result.
+    """
+    rows, w, F = forms.shape
+    real, imag = np.zeros((w, _TILE)), np.zeros((w, _TILE))
+    A_real, A_imag = np.zeros((w, w, _TILE)), np.zeros((w, w, _TILE))
+    total, a, b = np.zeros(_TILE), np.zeros(_TILE), np.zeros(_TILE)
+    for first in range(0, F, _TILE):
+        m = min(_TILE, F - first)
+        for i in range(w):
+            for j in range(i + 1):
+                for t in range(m):
+                    A_real[i, j, t] = moments[i, j, first + t].real
+                    A_imag[i, j, t] = moments[i, j, first + t].imag
+        for row in range(rows):
+            for i in range(w):
+                for t in range(m):
+                    real[i, t] = forms[row, i, first + t].real
+                    imag[i, t] = forms[row, i, first + t].imag
+            for t in range(_TILE):
+                total[t] = 0.0
+            for i in range(w):  # |g_i|^2 A_ii + 2 Re conj(g_i) sum_(j < i) conj(A_ij) g_j
+                for t in range(_TILE):
+                    a[t] = 0.0
+                    b[t] = 0.0
+                for j in range(i):
+                    x_real, x_imag, y_real, y_imag = real[j], imag[j], A_real[i, j], A_imag[i, j]
+                    for t in range(_TILE):
+                        a[t] += y_real[t] * x_real[t] + y_imag[t] * x_imag[t]
+                        b[t] += y_real[t] * x_imag[t] - y_imag[t] * x_real[t]
+                g_real, g_imag, own = real[i], imag[i], A_real[i, i]
+                for t in range(_TILE):
+                    power = g_real[t] * g_real[t] + g_imag[t] * g_imag[t]
+                    total[t] += power * own[t] + 2.0 * (g_real[t] * a[t] + g_imag[t] * b[t])
+            for t in range(m):
+                powers[row, first + t] = total[t]

@@ -7,12 +7,14 @@ Every residual of the method is a linear form ``e = g V`` of ``V = [U; R]``, so 
 * networked, ``e_i = G_u,i u_i + sum_j G_ij y_j - y_i`` (36), the row of ``G`` estimated by (31)-(35).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from creak.location import locate
 from creak.records import Complex, ElementShare, Estimate, NodeLevel, Real, Rig, Scope, Spectra
 from creak.significance import line_p_values, pooled_p_value, q_values
-from creak.statistics import Sums
+from creak.statistics import Sums, quadratic
 
 SIGNIFICANT = 1e-3
 """Chance, over all nodes together, that elements are looked for where the structure is linear."""
@@ -109,21 +111,24 @@ def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) ->
     q, n, F = rig.q, rig.n, len(rig.lines)
     eye = np.broadcast_to(np.eye(n, dtype=np.complex128), (F, n, n))
     response = np.concatenate((sums.S, eye), axis=2)  # Y = S U + R
-    signal = _power(response, sums.between + sums.within) / (sums.experiments * sums.periods)
+    powers = _powers(response, sums)
+    signal = (powers.between + powers.within) / (sums.experiments * sums.periods)
     classical = np.concatenate((np.zeros((F, n, q), dtype=np.complex128), -eye), axis=2)
-    classical_total, classical_noise = _variances(classical, sums)
+    powers = _powers(classical, sums)
+    classical_total, classical_noise = _variances(classical, powers, sums)
     p_value = np.full(n, np.nan)
     line_p = classical_p = np.full((F, n), np.nan)
     testable = sums.periods > 1 and sums.realisations > 1
     if testable:
-        classical_p = _p_values(classical, sums, np.full(n, float(q)))
+        classical_p = _p_values(powers, sums, np.full(n, float(q)))
     elements: tuple[ElementShare, ...] = ()
     if forms is None:
         total = noise = np.full((F, n), np.nan)
     else:
-        total, noise = _variances(forms, sums)
+        powers = _powers(forms, sums)
+        total, noise = _variances(forms, powers, sums)
         if testable:
-            line_p = _p_values(forms, sums, fitted_parameters(rig))
+            line_p = _p_values(powers, sums, fitted_parameters(rig))
             p_value = pooled_p_value(line_p)
             elements = _elements(rig, sums, p_value)
     spectra = Spectra(
@@ -188,27 +193,32 @@ def _networked_forms(rig: Rig, sums: Sums) -> Complex:
     return np.concatenate((on_inputs, pull), axis=2)
 
 
-def _power(forms: Complex, moments: Complex) -> Real:
-    """Quadratic forms ``g A g^H`` per line and row, ``(F, n)``."""
-    return np.asarray(np.einsum("fij,fij->fi", forms @ moments, forms.conj()).real, dtype=np.float64)
+class _Powers(NamedTuple):
+    """Quadratic forms ``g A g^H`` of the moments between and within experiments, each ``(F, n)``."""
+
+    between: Real
+    within: Real
 
 
-def _p_values(forms: Complex, sums: Sums, fitted: Real) -> Real:
+def _powers(forms: Complex, sums: Sums) -> _Powers:
+    return _Powers(quadratic(forms, sums.between), quadratic(forms, sums.within))
+
+
+def _p_values(powers: _Powers, sums: Sums, fitted: Real) -> Real:
     """p-values of the residuals per line and node, ``(F, n)``."""
-    between, within = _power(forms, sums.between), _power(forms, sums.within)
-    return line_p_values(between, within, sums.experiments, sums.periods, fitted)
+    return line_p_values(powers.between, powers.within, sums.experiments, sums.periods, fitted)
 
 
-def _variances(forms: Complex, sums: Sums) -> tuple[Real, Real]:
+def _variances(forms: Complex, powers: _Powers, sums: Sums) -> tuple[Real, Real]:
     """Total (39) and noise (40) variance of residuals, each ``(F, n)``; NaN where the data carry none."""
     E, P = sums.experiments, sums.periods
     none = np.full(forms.shape[:2], np.nan)
-    noise = _power(forms, sums.within) / (E * (P - 1)) if P > 1 else none
+    noise = powers.within / (E * (P - 1)) if P > 1 else none
     if sums.realisations < 2:
         return none, noise
     means = np.einsum("fij,pfj->pfi", forms, sums.period_sums) / E
-    about_zero = _power(forms, sums.between) + _power(forms, sums.within)
-    total = (about_zero - E * (np.abs(means) ** 2).sum(axis=0)) / (P * (E - 1))
+    common = (means.real**2 + means.imag**2).sum(axis=0)
+    total = (powers.between + powers.within - E * common) / (P * (E - 1))
     return total, noise
 
 

@@ -19,7 +19,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from creak.moments import residual_moments, responses, shear, shear_vectors
+from creak.moments import quadratic_forms, residual_moments, responses, shear, shear_vectors
 from creak.records import Complex, Real
 
 _Array = TypeVar("_Array", Complex, Real)
@@ -167,11 +167,20 @@ class Sums:
         numpy.linalg.LinAlgError
             If the inputs do not span all directions.
         """
-        q = self.inputs
-        inputs, cross = self.between[:, :q, :q], self.between[:, q:, :q]
-        reference = self.S if self.about is None else self.about
-        S = reference + _divide(cross, inputs)
+        S = self.least_squares()
         return replace(self.moved(S), S=S, about=None)
+
+    def least_squares(self) -> Complex:
+        """Return ``sum Y U^H (sum U U^H)^-1`` of the period means, ``(F, n, q)``.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            As `about_least_squares`.
+        """
+        q = self.inputs
+        reference = self.S if self.about is None else self.about
+        return reference + _divide(self.between[:, q:, :q], self.between[:, :q, :q])
 
     def normal(self) -> "Sums":
         """Express the same with residuals about ``S``."""
@@ -225,6 +234,25 @@ def _response(V: Complex, q: int) -> Complex:
     if np.isinf(condition).any():
         raise np.linalg.LinAlgError("the input matrix of a line is singular")
     return _lines_first(S)
+
+
+def quadratic(forms: Complex, moments: Complex) -> Real:
+    """Quadratic forms ``g A g^H`` per line and row.
+
+    Parameters
+    ----------
+    forms : array, (F, rows, channels)
+        g.
+    moments : array, (F, channels, channels)
+        A, Hermitian.
+
+    Returns
+    -------
+    array, (F, rows)
+    """
+    powers = np.empty((forms.shape[1], forms.shape[0]))
+    quadratic_forms(_lines_last(forms), _lines_last(moments), powers)
+    return powers.T
 
 
 def _same(a: Complex | None, b: Complex | None) -> bool:

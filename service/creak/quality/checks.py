@@ -148,6 +148,8 @@ def clipping(x: Real) -> Clipping | None:
     worst: Clipping | None = None
     for sign in (1.0, -1.0):
         depth = float((sign * x).max()) - sign * x  # below the largest value
+        if np.count_nonzero(depth < 0.001 * rms) < max(16, 0.005 * x.size):
+            continue  # as nearly always: nothing needs to be sorted
         outer = np.sort(depth[depth < 0.8 * rms])
         there, both = (int(count) for count in np.searchsorted(outer, (0.001 * rms, 0.002 * rms)))
         if there < max(16, 0.005 * x.size) or there <= 4 * (both - there) or there > 0.4 * x.size:
@@ -178,7 +180,10 @@ def _piled(outer: Real, there: int) -> int:
 
 def longest_hold(x: Real) -> int:
     """Longest run of samples that do not change, ``(N,)``; 1 if every sample differs from the one before."""
-    changes = np.flatnonzero(x[1:] != x[:-1])
+    changed = x[1:] != x[:-1]
+    if changed.all():
+        return 1
+    changes = np.flatnonzero(changed)
     edges = np.concatenate(([-1], changes, [x.size - 1]))
     return int(np.diff(edges).max())
 
