@@ -29,8 +29,10 @@ class ReceiverServer(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, answers=()):
+    def __init__(self, answers=(), tls=None):
         super().__init__(("127.0.0.1", 0), _Handler)
+        if tls is not None:
+            self.socket = tls.wrap_socket(self.socket, server_side=True)
         self.answers = list(answers)
         self.received = []
         self.default = 204
@@ -43,7 +45,7 @@ class ReceiverServer(ThreadingHTTPServer):
     def handle_error(self, request, client_address):
         pass  # a deliverer that breaks off is what some tests are about
 
-    def wait(self, count, seconds=10.0):
+    def wait(self, count, seconds=30.0):
         """The first ``count`` requests."""
         end = time.monotonic() + seconds
         while len(self.received) < count:
@@ -79,8 +81,8 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 @contextlib.contextmanager
-def receiving(*answers):
-    server = ReceiverServer(answers)
+def receiving(*answers, tls=None):
+    server = ReceiverServer(answers, tls)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
     try:
