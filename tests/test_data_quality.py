@@ -16,6 +16,7 @@ from creak.config.rig import load_rig
 from creak.monitor import Monitor
 from creak.multisine import Design, realisation
 from creak.quality import FLAWS, clipping, longest_hold, match_input, orthogonality_loss_db, period_drift
+from creak.quality.checks import unremarkable
 from creak.records import Excitation, Fault, FaultKind, Frame
 from creak.sources.measurement import Measurement
 from creak.sources.simulated import SimulatedRig
@@ -267,3 +268,25 @@ def test_replay_tells_flaws_and_keeps_them_in_the_recording(tmp_path, monkeypatc
     assert [(flaw["kind"], flaw["realisations"]) for flaw in document["quality"]] == [("clipped", 2)]
     assert document["faults"] == {"clipped": 2}
     assert document["realisations"] == 2
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    limit=st.floats(0.3, 5.0),
+    step=st.sampled_from([0.0, 1e-3, 0.1]),
+    held=st.sampled_from([0, 2, 700]),
+)
+def test_what_passes_for_unremarkable_is_neither_clipped_nor_held(seed, limit, step, held):
+    """Kills a quick look that lets a flaw pass, and one that finds every signal remarkable."""
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal(2048)
+    clean = unremarkable(x)
+    x = np.clip(x, -limit, 9.0)
+    if step:
+        x = np.round(x / step) * step
+    x[100 : 100 + held] = x[100]
+    assert clean
+    if unremarkable(x):
+        assert clipping(x) is None
+        assert longest_hold(x) == 1

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.special
 
 from creak.network import fitted_parameters, node_to_node
-from creak.records import Complex, Real, Rig
+from creak.records import Real, Rig
 from creak.significance import pooled_p_value
 from creak.statistics import Sums, quadratic
 
@@ -128,11 +128,12 @@ def reference(sums: Sums, names: tuple[str, ...]) -> Reference:
         return Reference(sums)
     eye = np.broadcast_to(np.eye(len(names), dtype=np.complex128), (len(S), len(names), len(names)))
 
-    def power(about: Complex) -> Real:
-        forms = np.concatenate((sums.S - about, eye), axis=2)
-        return np.asarray(sum(quadratic(forms, moments).sum(axis=0) for moments in (sums.between, sums.within)))
-
-    plain, least = power(sums.S), power(S)
+    forms = np.concatenate((sums.S - S, eye), axis=2)
+    n = len(names)
+    plain, least = np.zeros(n), np.zeros(n)
+    for moments in (sums.between, sums.within):
+        plain += np.einsum("fii->i", moments)[-n:].real
+        least += quadratic(forms, moments).sum(axis=0)
     excess = np.zeros_like(plain)
     known = least > 0
     excess[known] = 10 * np.log10(np.maximum(plain[known] / least[known], 1.0))

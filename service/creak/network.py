@@ -114,7 +114,7 @@ def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) ->
     powers = _powers(response, sums)
     signal = (powers.between + powers.within) / (sums.experiments * sums.periods)
     classical = np.concatenate((np.zeros((F, n, q), dtype=np.complex128), -eye), axis=2)
-    powers = _powers(classical, sums)
+    powers = _Powers(*(np.einsum("fii->fi", moments)[:, q:].real for moments in (sums.between, sums.within)))
     classical_total, classical_noise = _variances(classical, powers, sums)
     p_value = np.full(n, np.nan)
     line_p = classical_p = np.full((F, n), np.nan)

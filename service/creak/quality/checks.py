@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from creak.compiling import reducing
 from creak.records import Complex, Real
 
 
@@ -96,12 +97,13 @@ def period_drift(spectra: Complex, lines: tuple[int, ...], period_samples: int) 
     """
     if spectra.shape[1] < 2:
         return None
-    power = (np.abs(spectra) ** 2).sum(axis=(0, 1, 2))
-    scaled = spectra[..., power > 0] / np.sqrt(power[power > 0])
-    before, after = scaled[:, :-1], scaled[:, 1:]
-    cross = (after * before.conj()).sum(axis=(0, 1, 3))
-    moved = float((np.abs(after - before) ** 2).sum())
-    if moved <= 0:
+    power = _power(spectra).sum(axis=(0, 1, 2))
+    weight = np.divide(1.0, power, out=np.zeros_like(power), where=power > 0)
+    before, after = spectra[:, :-1], spectra[:, 1:]
+    cross = np.einsum("epfi,epfi,i->f", after, before.conj(), weight)
+    moved = float(_power(after - before).sum(axis=(0, 1, 2)) @ weight)
+    turned = 2 * float((np.abs(cross) - cross.real).sum())  # what a turn of its own at every line would explain
+    if moved <= 0 or turned <= 0.5 * moved:
         return None
     at = np.asarray(lines)
     fine = 8
@@ -118,11 +120,44 @@ def period_drift(spectra: Complex, lines: tuple[int, ...], period_samples: int) 
         if bend <= 0:
             break
         shift += float(np.clip(slope / bend, -0.5 / fine, 0.5 / fine))
-    rest = float((np.abs(after - np.exp(1j * turn * shift)[:, None] * before) ** 2).sum())
+    rest = float(_power(after - np.exp(1j * turn * shift)[:, None] * before).sum(axis=(0, 1, 2)) @ weight)
     share = 1 - rest / moved
     if abs(shift) < 1e-3 or share <= 0.5:
         return None
     return Drift(period_samples - shift, share)
+
+
+@reducing
+def unremarkable(x: Real) -> bool:
+    """Tell in a few passes that a signal is neither clipped nor held, as nearly all are.
+
+    Parameters
+    ----------
+    x : array, (N,)
+
+    Returns
+    -------
+    bool
+        True only if `clipping` finds nothing and `longest_hold` is 1.
+    """
+    low, high, total, equal = x[0], x[0], x[0], 0
+    for i in range(1, x.size):
+        low, high = min(low, x[i]), max(high, x[i])
+        total += x[i]
+        equal += x[i] == x[i - 1]
+    mean, power = total / x.size, 0.0
+    for i in range(x.size):
+        power += (x[i] - mean) ** 2
+    strip = 0.0011 * np.sqrt(power / x.size)  # a little more than the strip of `clipping`, for rounding
+    above, below = 0, 0
+    for i in range(x.size):
+        above += high - x[i] < strip
+        below += x[i] - low < strip
+    return equal == 0 and max(above, below) < max(16.0, 0.005 * x.size)
+
+
+def _power(values: Complex) -> Real:
+    return np.asarray(values.real**2 + values.imag**2)
 
 
 def clipping(x: Real) -> Clipping | None:
@@ -148,8 +183,6 @@ def clipping(x: Real) -> Clipping | None:
     worst: Clipping | None = None
     for sign in (1.0, -1.0):
         depth = float((sign * x).max()) - sign * x  # below the largest value
-        if np.count_nonzero(depth < 0.001 * rms) < max(16, 0.005 * x.size):
-            continue  # as nearly always: nothing needs to be sorted
         outer = np.sort(depth[depth < 0.8 * rms])
         there, both = (int(count) for count in np.searchsorted(outer, (0.001 * rms, 0.002 * rms)))
         if there < max(16, 0.005 * x.size) or there <= 4 * (both - there) or there > 0.4 * x.size:
@@ -180,10 +213,7 @@ def _piled(outer: Real, there: int) -> int:
 
 def longest_hold(x: Real) -> int:
     """Longest run of samples that do not change, ``(N,)``; 1 if every sample differs from the one before."""
-    changed = x[1:] != x[:-1]
-    if changed.all():
-        return 1
-    changes = np.flatnonzero(changed)
+    changes = np.flatnonzero(x[1:] != x[:-1])
     edges = np.concatenate(([-1], changes, [x.size - 1]))
     return int(np.diff(edges).max())
 

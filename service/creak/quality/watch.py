@@ -12,6 +12,7 @@ from creak.quality.checks import (
     orthogonality_loss_db,
     period_drift,
     transient_share,
+    unremarkable,
     wrong_inputs,
 )
 from creak.realisations import Realisation, spectrum
@@ -85,6 +86,8 @@ class Watch:
                 self._discarded[frame.experiment] = spectrum(rig, frame.u, frame.y)[:, rig.q :]
             return
         for channel, x in enumerate((*frame.u, *frame.y)):
+            if unremarkable(np.ascontiguousarray(x, dtype=np.float64)):
+                continue
             hold = longest_hold(x)
             found = clipping(x)
             if found is not None:
