@@ -12,8 +12,8 @@ V1 = "/api/v1"
 
 
 @contextlib.contextmanager
-def serving(app):
-    server = bind(app, "127.0.0.1", 0)
+def serving(app, port=0):
+    server = bind(app, "127.0.0.1", port)
     thread = threading.Thread(target=server.listen, name="server")
     thread.start()
     try:

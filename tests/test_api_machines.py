@@ -1,6 +1,8 @@
 """What other programs rely on: metrics, health, the OpenAPI document, and the page that browsers load."""
 
+import hashlib
 import json
+import posixpath
 import re
 import time
 from pathlib import Path
@@ -12,6 +14,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from api_client import V1, assert_problem, get, serving
 from creak.api import create_app
 from creak.api.models import Answer
+from creak.api.page import site
 from creak.records import Counts, RunEnd, RunStatus
 from creak.sinks import jobs
 from creak.sinks.database import open_store
@@ -197,15 +200,53 @@ def test_page_needs_nothing_from_elsewhere(client):
     answer = client.get("/")
     assert answer.headers["content-type"].startswith("text/html")
     policy = dict(item.split(" ", 1) for item in answer.headers["content-security-policy"].split("; "))
-    assert (policy["default-src"], policy["script-src"]) == ("'none'", "'self'")
+    assert policy["default-src"] == "'none'"
+    assert policy["script-src"] == policy["style-src"] == policy["connect-src"] == "'self'"
     assert not re.search(r"https?://|<script>|<style|\son\w+=|style=", answer.text)
     linked = re.findall(r'(?:src|href)="(static/[^"]+)"', answer.text)
-    assert len(linked) == 2
+    assert {path.rsplit(".", 1)[1] for path in linked} == {"css", "js", "svg"}
     for path in linked:
         part = client.get(f"/{path}")
         assert part.status_code == 200
-        assert "http" not in part.text
         assert part.headers["x-content-type-options"] == "nosniff"
+
+
+def test_parts_of_the_page_are_kept_by_browsers_until_there_are_others(client):
+    """Kills a part that is asked for at each visit, and an old one that meets a new page."""
+    page = client.get("/")
+    assert page.headers["cache-control"] == "no-cache"
+    again = client.get("/", headers={"If-None-Match": page.headers["etag"]})
+    assert again.status_code == 304
+    policy = "content-security-policy"
+    assert again.headers[policy] == page.headers[policy]  # a browser takes the newest headers for the old body
+    (script,) = re.findall(r'"(static/[^"]+/main.js)"', page.text)
+    part = client.get(f"/{script}")
+    assert "immutable" in part.headers["cache-control"]
+    assert client.get(f"/{script}", headers={"If-None-Match": part.headers["etag"]}).status_code == 304
+    version = script.split("/")[1]
+    for path in (
+        script.replace(version, "0" * 16),
+        f"static/{version}/nosuch.js",
+        f"static/{version}/..%2Fpage.py",
+    ):
+        assert_problem(client.get(f"/{path}"), 404, "not-found")
+
+
+def test_every_module_that_is_imported_is_there():
+    """Kills a page that fails half-way as one of its parts was left out of the package."""
+    parts = site().parts
+    for name, content in parts.items():
+        for path in re.findall(r'from "(\.[^"]+)"', content.decode()) if name.startswith("js/") else []:
+            assert posixpath.normpath(posixpath.join(posixpath.dirname(name), path)) in parts, (name, path)
+
+
+def test_the_charts_are_those_of_uplot():
+    """Kills a package that carries another script than the one that uPlot 1.6.31 was released with."""
+    digests = {name: hashlib.sha256(site().parts[name]).hexdigest() for name in ("uplot.js", "uplot.css")}
+    assert digests == {
+        "uplot.js": "2d27e8ad3d228164525ce213f9dc716f39b4e3aee0cc773fb3491c96cf4921a2",
+        "uplot.css": "df630c6a8d6f8eeaff264b50f73ce5b114f646ffd9a0bb74f049b0a00135fa04",
+    }
 
 
 def test_every_answer_is_guarded(client):

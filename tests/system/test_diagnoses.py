@@ -10,9 +10,11 @@ from pathlib import Path
 
 import httpx
 import pytest
+from playwright.sync_api import expect
 
 import gap_rig
 from api_client import assert_problem
+from browser import chromium, visiting
 from creak.cli import run
 
 CREAK = [sys.executable, "-m", "creak.cli"]
@@ -145,6 +147,24 @@ def test_an_alarm_leads_to_its_cause_by_one_call(served, place, monkeypatch):
     assert job["report"] == f"/api/v1{location}/report"
     listed = served.get("/diagnoses").json()["items"]
     assert [(item["id"], "result" in item) for item in listed] == [(job["id"], False)]
+
+
+def test_the_page_shows_verdict_cause_and_report(served):
+    """What an operator sees of a diagnosis, from its beginning to its report."""
+    (alarm,) = served.get("/alarms").json()["items"]
+    address = str(served.base_url).removesuffix("/api/v1/")
+    with chromium() as browser, visiting(browser, address) as visit:
+        page = visit.go(f"#/alarms/{alarm['id']}")
+        link = page.get_by_role("term").filter(has_text="diagnosis").locator("xpath=following-sibling::dd/a")
+        begun = served.get("/diagnoses").json()["items"]  # by the test before this one, if it ran
+        (link if begun else page.get_by_role("button", name="Diagnose")).click()
+        expect(page.locator(".verdict")).to_contain_text("explained", timeout=1000 * DEADLINE)
+        expect(page.get_by_role("row").filter(has_text="cubic stiffness")).to_contain_text("2 – ground")
+        with page.expect_popup() as opened:
+            page.get_by_role("link", name="The report").click()
+        expect(opened.value.get_by_text("Verdict: explained").first).to_be_visible()
+        page.get_by_role("link", name="Diagnoses").first.click()
+        expect(page.locator("tbody tr").first).to_contain_text("cubic stiffness, 2 – ground")
 
 
 def test_a_replay_is_a_job_with_the_numbers_of_the_command(served, place, monkeypatch):
