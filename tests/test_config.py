@@ -147,7 +147,9 @@ def test_the_environment_overrides_the_file(service_file, monkeypatch):
     """Kills a variable that is read as text where a list or a number is meant."""
     monkeypatch.setenv("CREAK_SERVER__PORT", "8400")
     monkeypatch.setenv("CREAK_WEBHOOKS__ALLOW", '["127.0.0.0/8"]')
+    monkeypatch.setenv("CREAK_STREAM__URL", "tls://broker:4222")
     settings = load_service(service_file())
+    assert settings.stream.url == "tls://broker:4222"
     assert (settings.server.port, settings.server.host) == (8400, "127.0.0.1")
     assert settings.webhooks.allow == ["127.0.0.0/8"]
 
@@ -173,7 +175,11 @@ def test_a_wrong_variable_is_named(service_file, monkeypatch, variable, value, w
     [
         ("port = 8300", "port = 83000", ["server.port", "83000", "65535"]),
         ('kind = "simulated"', 'kind = "simulatd"', ["rigs[0].source", "simulatd", "simulated"]),
-        ('kind = "simulated"', 'kind = "stream"', ["stream", "not read by this version"]),
+        ('kind = "simulated"', 'kind = "stream"\npace = 2', ["pace", "not a known key"]),
+        ('data = "var"', 'data = "var"\nstream = {url = "http://here"}', ["stream.url", "http://here", "nats"]),
+        ('data = "var"', 'data = "var"\nstream = {name = "a.b"}', ["stream.name", "a.b"]),
+        ('data = "var"', 'data = "var"\nstream = {lease_seconds = 0.1}', ["stream.lease_seconds", "0.1"]),
+        ('data = "var"', 'data = "var"\nstream = {send = "all"}', ["stream.send", "all", "sums"]),
         ('kind = "simulated"', 'kind = "simulated"\npase = 2', ["pase", "not a known key"]),
         ('model = "model.toml"', "", ["model", "simulated source needs one"]),
         ('model = "model.toml"', 'model = "m.toml"\nlimits = {windows = 2, exceeding = 3}', ["exceeding", "3"]),

@@ -13,7 +13,12 @@ from creak.config.service import ServiceSettings, parse_service
 KEYS = service_keys()
 LEAST = {"rigs": [{"rig": "rig.toml", "source": {"kind": "recording", "files": ["a.mcap"]}}]}
 ALONE = [key for key in KEYS if key.environment and key.name != "rigs"]
+PATHS = {"data", "stream.credentials"}
 OTHER = {
+    "stream.url": "tls://elsewhere:4222",
+    "stream.name": "other",
+    "stream.credentials": "worker.creds",
+    "stream.send": "frames",
     "data": "elsewhere",
     "server.host": "::1",
     "store.url": "sqlite:////tmp/x.db",
@@ -54,7 +59,7 @@ def test_the_variable_of_a_key_overrides_it(key, monkeypatch, tmp_path):
     other = OTHER[key.name] if key.name in OTHER else (before or 0) + 1
     monkeypatch.setenv(key.environment, json.dumps(other) if isinstance(other, list) else str(other))
     after = found(parse_service(LEAST, "test", tmp_path), key.name)
-    assert after == (tmp_path / other if key.name == "data" else other) != before
+    assert after == (tmp_path / other if key.name in PATHS else other) != before
 
 
 @pytest.mark.parametrize(

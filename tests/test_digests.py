@@ -29,8 +29,8 @@ def disturbed(seed):
     """Frames with a spring from realisation 4 on; some are lost, doubled or not finite."""
     dice = random.Random(seed)
     items = []
-    for frame in make_frames(RUN, 10, seed=seed, noise=1e-3, cubic=4):
-        fate = dice.random()
+    for good in make_frames(RUN, 10, seed=seed, noise=1e-3, cubic=4):
+        frame, fate = good, dice.random()
         if fate < 0.02:
             items.append(
                 Fault(FaultKind.LOST, frame.time, "gone", frame.realisation, frame.experiment, frame.period)

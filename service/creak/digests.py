@@ -9,10 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from creak.alarm_records import Action, Clock
+from creak.errors import RecordingError
 from creak.judgement import Block
 from creak.quality import Flaw, Watch
 from creak.realisations import Collector, Realisation
-from creak.records import Counts, Fault, FaultKind, Frame, FrameStatus, Run
+from creak.records import AlarmChange, Counts, Estimate, Fault, FaultKind, Frame, FrameStatus, Run
 
 OPENING: Final = -1
 """Index of the digest that opens a run."""
@@ -62,6 +64,10 @@ class Digest:
     frames: tuple[Frame, ...] = ()
 
 
+Outcome = Frame | Fault | Estimate | AlarmChange | Digest
+"""What a monitor or a gatherer makes of what it is given, and sinks take."""
+
+
 class Gatherer:
     """Judges frames and gathers them into digests; memory does not grow with their number.
 
@@ -107,8 +113,8 @@ class Gatherer:
             faults=dict(sorted(self._totals.items())),
         )
 
-    def take(self, item: Frame | Fault) -> list[Frame | Fault | Digest]:
-        """Take what a source yields.
+    def take(self, item: Frame | Fault | Action | Clock) -> list[Outcome]:
+        """Take what a source yields; of operators and of time passing it knows nothing.
 
         Returns
         -------
@@ -116,6 +122,8 @@ class Gatherer:
             The judged frame or the fault first, then the faults that followed, and a digest for each realisation
             that is over with it.
         """
+        if isinstance(item, Action | Clock):
+            return []
         if item.realisation is not None and item.realisation <= self._after:
             self._begin()  # what came before it is told already
             return [item]
@@ -138,7 +146,7 @@ class Gatherer:
             digests += [self._close(f.realisation) for f in taken.faults if f.kind is FaultKind.SINGULAR]
         return [taken.frame, *taken.faults, *digests]
 
-    def finish(self) -> list[Frame | Fault | Digest]:
+    def finish(self) -> list[Outcome]:
         """Close the run; the last digest is the one of the end."""
         found = self._collector.finish()
         return [*found, *self._turn(found), self._close(CLOSING)]
@@ -193,7 +201,13 @@ class Gatherer:
 
 
 def summed(run: Run, digest: Digest) -> Digest:
-    """Make a digest that is told by its frames one that is told by their sums; any other is left as it is."""
+    """Make a digest that is told by its frames one that is told by their sums; any other is left as it is.
+
+    Raises
+    ------
+    RecordingError
+        If its frames are not those of a complete realisation.
+    """
     if not digest.frames:
         return digest
     gatherer = Gatherer(run, after=digest.previous)
@@ -201,4 +215,4 @@ def summed(run: Run, digest: Digest) -> Digest:
         for outcome in gatherer.take(frame):
             if isinstance(outcome, Digest):
                 return replace(digest, block=outcome.block, flaws=outcome.flaws, frames=())
-    raise ValueError(f"{len(digest.frames)} frames that do not make realisation {digest.index} complete")
+    raise RecordingError(f"{len(digest.frames)} frames that do not make realisation {digest.index} complete")

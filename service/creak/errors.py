@@ -12,7 +12,8 @@
     └── ServiceError (RuntimeError)    ours or the machine's fault: exit code 1, HTTP 5xx
         ├── SimulationError            a time step that does not converge, a motion that grows without bound
         ├── StorageError (OSError)     a full disk, a store that cannot be opened
-        └── AddressError (OSError)     a port that is in use
+        ├── AddressError (OSError)     a port that is in use
+        └── BrokerError (ConnectionError)  a message broker that cannot be reached
 """
 
 
@@ -74,3 +75,7 @@ class StorageError(ServiceError, OSError):
 
 class AddressError(ServiceError, OSError):
     """The address to listen on is in use or not to be had."""
+
+
+class BrokerError(ServiceError, ConnectionError):
+    """The message broker cannot be reached, or does not answer."""

@@ -11,7 +11,7 @@ from creak import alarms, baseline
 from creak.alarm_records import Action, ActionKind, Clock, Conflict, Verdict
 from creak.alarms import quality
 from creak.baseline import Baseline
-from creak.digests import Digest
+from creak.digests import Digest, Outcome
 from creak.judgement import Block, Last, judged
 from creak.quality import Flaw, Watch
 from creak.realisations import Collector, Realisation
@@ -20,7 +20,6 @@ from creak.records import (
     AlarmState,
     Complex,
     Counts,
-    Estimate,
     Fault,
     FaultKind,
     Frame,
@@ -30,8 +29,6 @@ from creak.records import (
     Scope,
 )
 from creak.window import Window
-
-Outcome = Frame | Fault | Estimate | AlarmChange
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,6 +233,11 @@ class Monitor:
         since = max(self.run.start, until - round(self.run.rig.period_ns))
         self._quality, changes = quality.heard(self._quality, self.run, since, until)
         return [*changes, *self._advance(until)]
+
+    def stop(self) -> list[Outcome]:
+        """Take note that nothing comes any more, as whoever listens to the rig says."""
+        self._quality, changes = quality.stopped(self._quality, self.run, self._time)
+        return list(changes)
 
     def act(self, action: Action) -> tuple[AlarmChange, ...] | Conflict:
         """Do what an operator asks for, at the recorded time that the monitor has come to.

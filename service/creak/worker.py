@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 from creak.alarm_records import Action, Clock, Conflict
 from creak.codec import memory_bytes, memory_of
+from creak.digests import Gatherer, Outcome
 from creak.errors import CreakError, StorageError
-from creak.monitor import Memory, Monitor, Outcome
+from creak.monitor import Memory, Monitor
 from creak.records import AlarmChange, Counts, Estimate, Fault, FaultKind, Frame, FrameStatus, RunEnd, RunStatus
 from creak.sinks.protocol import Desk, Sink
 from creak.sources.protocol import Replayable, Source
@@ -45,12 +46,13 @@ class _Path:
         sinks: Sequence[Sink],
         desk: Desk | None = None,
         memory: Memory | None = None,
+        gatherer: Gatherer | None = None,
     ) -> None:
         if memory is not None:  # what a run begins with belongs to its recording, or a replay would differ
             source.run = replace(source.run, before=memory_bytes(memory))
         elif source.run.before:
             memory = memory_of(source.run.before)
-        self.monitor = Monitor(source.run, memory)
+        self.monitor: Monitor | Gatherer = gatherer or Monitor(source.run, memory)
         self._desk = desk
         self._sinks: list[Sink] = []
         self.time = source.run.start  # recorded time up to which data have come
@@ -82,7 +84,7 @@ class _Path:
 
     def serve_operators(self) -> None:
         """Carry out what operators have asked for; the answer follows the changes, and the state that has them."""
-        if self._desk is None:
+        if self._desk is None or isinstance(self.monitor, Gatherer):
             return
         for asked in self._desk.asked():
             done = self.monitor.act(asked.action)
@@ -135,6 +137,7 @@ class _Path:
                         self._failing.remove(sink)
 
     def _save(self, desk: Desk) -> None:
+        assert isinstance(self.monitor, Monitor)  # a gatherer has nothing that outlives its run, and no desk
         memory = self.monitor.memory
         try:
             desk.save(memory.time, lambda: memory_bytes(memory))
@@ -188,6 +191,8 @@ def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
         What the source or a sink raised, after the run was closed as failed.
     """
     path = _Path(source, sinks)
+    monitor = path.monitor
+    assert isinstance(monitor, Monitor)
     try:
         for item in _items(source):
             path.take(item)
@@ -195,7 +200,7 @@ def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
                 raise path.failure
             path.tick(time.monotonic())
     except KeyboardInterrupt:
-        return path.monitor, path.close(RunStatus.INTERRUPTED, "interrupted by the user")
+        return monitor, path.close(RunStatus.INTERRUPTED, "interrupted by the user")
     except BaseException as error:
         path.close(RunStatus.FAILED, str(error) or type(error).__name__)
         raise
@@ -204,7 +209,7 @@ def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
     end = path.close(RunStatus.COMPLETED)
     if path.failure is not None:
         raise path.failure
-    return path.monitor, end
+    return monitor, end
 
 
 class Worker:
@@ -219,6 +224,8 @@ class Worker:
         Where operators ask, and where what a restart needs is kept.
     memory : Memory or None
         What an earlier monitor of the rig knew.
+    gatherer : Gatherer or None
+        Takes the place of the monitor where estimates are made elsewhere.
     """
 
     def __init__(
@@ -228,7 +235,9 @@ class Worker:
         *,
         desk: Desk | None = None,
         memory: Memory | None = None,
+        gatherer: Gatherer | None = None,
     ) -> None:
+        self._gatherer = gatherer
         self._source = source
         self._sinks = sinks
         self._desk = desk
@@ -250,7 +259,7 @@ class Worker:
         CreakError
             If a sink cannot be opened; the run has then not begun.
         """
-        self._path = _Path(self._source, self._sinks, self._desk, self._memory)
+        self._path = _Path(self._source, self._sinks, self._desk, self._memory, self._gatherer)
         self._thread.start()
         self._reader.start()
 

@@ -11,6 +11,7 @@ from creak.cli import (
     diagnose,
     excitation,
     export,
+    fleet,
     keys,
     paper,
     recordings,
@@ -31,6 +32,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 service.add_to(app)
+fleet.add_to(app)
 recordings.add_to(app)
 export.add_to(app)
 bench.add_to(app)

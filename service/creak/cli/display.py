@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from creak.codec import alarm_line, node_json
+from creak.digests import Outcome
 from creak.records import AlarmChange, AlarmState, Estimate, Fault, Frame, FrameStatus, Run, RunEnd, Scope
 
 STATE_STYLES = {AlarmState.NORMAL.value: "green", AlarmState.RETURNED_UNACKNOWLEDGED.value: "yellow"}
@@ -48,7 +49,7 @@ class ProgressBar:
         """Show the bar."""
         self._progress.start()
 
-    def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
+    def take(self, record: Outcome) -> None:
         """Move on with every frame."""
         if isinstance(record, Frame):
             description = f"{self._label}, realisation {record.realisation + 1}"
@@ -89,7 +90,7 @@ class LiveLevels:
         if self._live is not None:
             self._live.start()
 
-    def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
+    def take(self, record: Outcome) -> None:
         """Keep what is shown."""
         match record:
             case Frame():

@@ -6,7 +6,6 @@ import logging
 import signal
 import socket
 import time
-import uuid
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -17,26 +16,24 @@ from typing import Annotated
 
 import typer
 
+from creak.analysis import Plan
 from creak.api import listen_on
 from creak.api.access import Access
 from creak.api.process import ApiProcess, ApiSettings
-from creak.cli.canlibraries import can_support
 from creak.cli.display import LiveLevels
+from creak.cli.fleet import background_analysis
 from creak.cli.recordings import replay_line
+from creak.cli.sources import make_folder, named_rigs, open_source, plan_of, simulated_rig
 from creak.cli.supervision import Supervisor
 from creak.codec import memory_of, time_json
-from creak.config.can import CanSource
-from creak.config.model import load_model
 from creak.config.rig import load_rig
 from creak.config.service import (
-    RecordingSource,
-    RigTable,
     ServiceSettings,
-    SimulatedSource,
     load_service,
     parse_service,
 )
-from creak.errors import ConfigurationError, InputError, RecordingError, ServiceError, StorageError
+from creak.config.stream import StreamSource
+from creak.errors import InputError, ServiceError
 from creak.jobs import JobRunner
 from creak.monitor import Memory
 from creak.records import Estimate, Rig, Run, RunEnd
@@ -49,7 +46,6 @@ from creak.sinks.restart import recorded_until, saved_state
 from creak.sinks.store import Store, StoreSink, open_store
 from creak.sinks.upkeep import Upkeep
 from creak.sources.protocol import Source
-from creak.sources.recording import Recording
 from creak.sources.simulated import SimulatedRig
 from creak.webhooks.addresses import AddressPolicy
 from creak.webhooks.delivery import Deliverer, DeliveryRules
@@ -71,26 +67,28 @@ def add_to(app: typer.Typer) -> None:
     app.command()(serve)
 
 
-def serve(config: Annotated[Path, typer.Argument(help="Service file (creak.toml).")]) -> int:
+def serve(
+    config: Annotated[Path, typer.Argument(help="Service file (creak.toml).")],
+    *,
+    api_only: Annotated[bool, typer.Option(help="Show what others measure and analyse.")] = False,
+) -> int:
     """Run the service: rigs, store, API, recordings.
 
     Example: `creak serve creak.toml`
     """
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     settings = load_service(config)
-    rigs = [load_rig(table.rig) for table in settings.rigs]
-    names = [rig.name for rig in rigs]
-    for index, name in enumerate(names):
-        if names.index(name) != index:
-            raise ConfigurationError(
-                str(config), f"rigs[{index}].rig", f"{name!r} stands twice; rigs have unique names"
-            )
-    sources = [
-        _source(table, rig, str(config), f"rigs[{index}].source")
-        for index, (table, rig) in enumerate(zip(settings.rigs, rigs, strict=True))
-    ]
+    rigs = named_rigs(settings, str(config))
+    sources: list[Source] = []
+    plans: list[Plan] = []
+    if not api_only:
+        for index, (table, rig) in enumerate(zip(settings.rigs, rigs, strict=True)):
+            if isinstance(table.source, StreamSource):
+                plans.append(plan_of(table, rig))
+            else:
+                sources.append(open_source(table, rig, str(config), f"rigs[{index}].source"))
     with closing(listen_on(settings.server.host, settings.server.port)) as listener:
-        return _run(settings, sources, listener, [[] for _ in sources])
+        return _run(settings, rigs, sources, listener, [[] for _ in sources], plans)
 
 
 def demo(
@@ -107,7 +105,9 @@ def demo(
         settings = _demo_settings(example, port, output)
         table = settings.rigs[0]
         rig = load_rig(table.rig)
-        source = _simulated(table, rig, changes=[(_DEMO_HEALTHY, example / "model-cubic.toml")], past=_DEMO_QUICK)
+        source = simulated_rig(
+            table, rig, changes=[(_DEMO_HEALTHY, example / "model-cubic.toml")], past=_DEMO_QUICK
+        )
     with closing(listen_on(settings.server.host, settings.server.port)) as listener:
         _empty_store(settings)
         host, number, *_ = listener.getsockname()
@@ -117,7 +117,7 @@ def demo(
                 f"a spring appears at node 3 after {_DEMO_HEALTHY} healthy realisations; Ctrl-C ends the demo",
             )
         )
-        return _run(settings, [source], listener, [[display, _IntoThePresent(source)]])
+        return _run(settings, [rig], [source], listener, [[display, _IntoThePresent(source)]])
 
 
 def _demo_settings(example: Path, port: int | None, output: Path | None) -> ServiceSettings:
@@ -174,76 +174,16 @@ def _empty_store(settings: ServiceSettings) -> None:
             (settings.data / f"creak.db{suffix}").unlink(missing_ok=True)
 
 
-def _source(table: RigTable, rig: Rig, file: str, key: str) -> Source:
-    """The source of one rig, its run with the rules of the service file; file and key say where it stands."""
-    source = _opened(table, rig, file, key)
-    source.run = replace(source.run, alarms=table.alarms.rules(), baseline=table.baseline.rules(table.window))
-    return source
-
-
-def _opened(table: RigTable, rig: Rig, file: str, key: str) -> Source:
-    if isinstance(table.source, SimulatedSource):
-        return _simulated(table, rig)
-    if isinstance(table.source, CanSource):
-        limits = table.limits.limits()
-        live: Source = can_support().open_can(
-            table.source, rig, window=table.window, limits=limits, file=file, key=key
-        )
-        return live
-    if isinstance(table.source, RecordingSource):
-        recording = Recording(*table.source.files)
-        if replace(recording.run.rig, grid=rig.grid) != rig:
-            raise RecordingError(
-                f"{recording.paths[0]}: is a recording of another rig ({recording.run.rig.name!r}) "
-                f"than {table.rig} describes ({rig.name!r})"
-            )
-        recording.run = replace(
-            recording.run,
-            id=str(uuid.uuid4()),
-            window=table.window,
-            limits=table.limits.limits(),
-            source="recording",
-        )
-        return recording
-    raise AssertionError(table.source)  # other kinds do not pass the settings
-
-
-def _simulated(
-    table: RigTable, rig: Rig, *, changes: Sequence[tuple[int, Path]] = (), past: int = 0
-) -> SimulatedRig:
-    """A simulated rig; ``past`` realisations of it lie before the present moment."""
-    settings = table.source
-    assert isinstance(settings, SimulatedSource)
-    assert table.model is not None
-    periods = rig.transient_periods + settings.steady_periods
-    return SimulatedRig(
-        rig,
-        load_model(table.model),
-        steady_periods=settings.steady_periods,
-        rms=settings.rms,
-        seed=settings.seed,
-        snr_db=settings.snr_db,
-        realisations=settings.realisations,
-        start=time.time_ns() - round(past * rig.q * periods * rig.period_ns),
-        pace=settings.pace,
-        changes=[(index, load_model(path)) for index, path in changes],
-        run_id=str(uuid.uuid4()),
-        window=table.window,
-        limits=table.limits.limits(),
-    )
-
-
 def _run(
     settings: ServiceSettings,
+    rigs: Sequence[Rig],
     sources: Sequence[Source],
     listener: socket.socket,
     displays: Sequence[Sequence[Sink]],
+    plans: Sequence[Plan] = (),
 ) -> int:
     """Run workers and API until a signal; the exit code."""
-    try:
-        settings.data.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{settings.data}: cannot be made: {error.strerror}") from None
+    make_folder(settings.data)
     signal.signal(signal.SIGTERM, _interrupt)
     store = open_store(settings.store_url, source="configuration", key="store.url")
     limits = settings.recording
@@ -269,7 +209,7 @@ def _run(
     )
     deliverer = Deliverer(store, AddressPolicy(hooks.allow), rules)
     upkeep = Upkeep(store, limits.budget_bytes)
-    names = [source.run.rig.name for source in sources]
+    names = [rig.name for rig in rigs]
     models = {
         name: table.model for name, table in zip(names, settings.rigs, strict=True) if table.model is not None
     }
@@ -277,6 +217,7 @@ def _run(
     api = ApiProcess(ApiSettings(settings.store_url, names, access, models, settings.data), listener)
     jobs = settings.jobs
     runner = JobRunner(store, settings.data / "jobs", at_once=jobs.at_once, max_seconds=jobs.max_seconds)
+    analysis = background_analysis(settings.stream, store, plans) if plans else contextlib.nullcontext()
     try:
         deliverer.start()
         upkeep.start()
@@ -286,7 +227,7 @@ def _run(
         host, port, *_ = listener.getsockname()
         _log.info("listening on http://%s:%s", host, port)
         supervisor.ready()
-        with contextlib.suppress(KeyboardInterrupt):
+        with contextlib.suppress(KeyboardInterrupt), analysis:
             api.run()
     finally:
         supervisor.stopping()

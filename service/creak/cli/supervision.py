@@ -12,7 +12,8 @@ import threading
 import time
 from collections.abc import Mapping
 
-from creak.records import AlarmChange, Estimate, Fault, Frame, Run, RunEnd, RunStatus, Scope
+from creak.digests import Outcome
+from creak.records import Estimate, Run, RunEnd, RunStatus, Scope
 
 _SHARE = 0.25  # of the watchdog's time, after which it is fed again: half is what systemd recommends at most
 _BEGIN_SECONDS = 120.0  # that a loop has for its first tick: kernels are compiled
@@ -104,7 +105,7 @@ class RigWatch:
         """Begin to count on the loop."""
         self._supervisor.begin(self._rig)
 
-    def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
+    def take(self, record: Outcome) -> None:
         """Tell of every complete realisation."""
         if isinstance(record, Estimate) and record.scope is Scope.RUN:
             self._supervisor.status(f"{self._rig}: {record.realisations} realisations")

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     EnvSettingsSource,
@@ -17,6 +17,7 @@ from pydantic_settings import (
 from creak.config.alarms import AlarmsTable, BaselineTable, LimitsTable
 from creak.config.can import CanSource
 from creak.config.fields import AS_TOLD, Count, Positive, Strict, Told
+from creak.config.stream import StreamSource, StreamTable
 from creak.config.validation import explain, parse_toml, read_text
 from creak.errors import ConfigurationError
 
@@ -110,20 +111,7 @@ class RecordingSource(Strict):
     """Parts of one recorded run."""
 
 
-class ForeignSource(Strict):
-    """``[rigs.source]`` of a kind that this version does not read yet."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
-    kind: Literal["stream"]
-
-    @model_validator(mode="after")
-    def _refuse(self) -> Self:
-        raise ValueError(
-            f"kind: {self.kind!r} is not read by this version: should be 'simulated', 'can' or 'recording'"
-        )
-
-
-SourceTable = Annotated[SimulatedSource | CanSource | RecordingSource | ForeignSource, Field(discriminator="kind")]
+SourceTable = Annotated[SimulatedSource | CanSource | RecordingSource | StreamSource, Field(discriminator="kind")]
 
 
 class RigTable(Strict):
@@ -196,6 +184,8 @@ class ServiceSettings(BaseSettings):
     """How recordings are kept."""
     jobs: JobsTable = JobsTable()
     """Diagnoses and replays that are asked for over REST."""
+    stream: StreamTable = StreamTable()
+    """Where the broker of a fleet is, and how rigs are shared."""
     rigs: Annotated[list[RigTable], Field(min_length=1)]
     """What is monitored."""
 
@@ -243,6 +233,7 @@ def parse_service(tables: dict[str, Any], source: str, base: Path) -> ServiceSet
     return settings.model_copy(
         update={
             "data": base / settings.data,
+            "stream": settings.stream.anchored(base),
             "store": StoreTable(url=_anchored(settings.store.url, base)),
             "rigs": [_anchored_rig(rig, base) for rig in settings.rigs],
         }

@@ -7,6 +7,7 @@ carries it out and writes the answer. Without a worker the API does the same wit
 
 import time
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import sqlalchemy as sa
@@ -73,28 +74,34 @@ def outcome(connection: sa.Connection, identifier: str) -> tuple[str, str]:
 
 def waiting(connection: sa.Connection, rig: str, after: int) -> list[Asked]:
     """Return the actions that the monitor of a rig does not know, in order."""
+    return _asked(connection, [rig], after).get(rig, [])
+
+
+def waiting_for(connection: sa.Connection, rigs: Sequence[str]) -> dict[str, list[Asked]]:
+    """Return the actions that the monitors of several rigs do not know, in order, by rig."""
+    return _asked(connection, rigs, 0)
+
+
+def _asked(connection: sa.Connection, rigs: Sequence[str], after: int) -> dict[str, list[Asked]]:
     query = (
         sa.select(actions)
-        .where(actions.c.rig == rig, ~actions.c.folded, actions.c.seq > after)
+        .where(actions.c.rig.in_(rigs), ~actions.c.folded, actions.c.seq > after)
         .order_by(actions.c.seq)
         .limit(100)
     )
-    return [
-        Asked(
-            row["seq"],
-            Action(
-                alarm=row["alarm"],
-                kind=ActionKind(row["kind"]),
-                by=row["by"],
-                comment=row["comment"],
-                until=row["until"],
-                version=row["version"],
-                node=row["node"] or "",
-            ),
-            row["status"] == DONE,
+    found: dict[str, list[Asked]] = {}
+    for row in connection.execute(query).mappings():
+        action = Action(
+            alarm=row["alarm"],
+            kind=ActionKind(row["kind"]),
+            by=row["by"],
+            comment=row["comment"],
+            until=row["until"],
+            version=row["version"],
+            node=row["node"] or "",
         )
-        for row in connection.execute(query).mappings()
-    ]
+        found.setdefault(row["rig"], []).append(Asked(row["seq"], action, row["status"] == DONE))
+    return found
 
 
 def answer(connection: sa.Connection, asked: Asked, conflict: Conflict | None) -> None:

@@ -16,8 +16,9 @@ import numpy as np
 import sqlalchemy as sa
 
 from creak.alarm_records import Conflict
+from creak.digests import Outcome
 from creak.errors import StorageError
-from creak.records import AlarmChange, Estimate, Fault, Frame, Run, RunEnd
+from creak.records import AlarmChange, Frame, Run, RunEnd
 from creak.sinks import actions
 from creak.sinks.actions import Asked
 from creak.sinks.store import Store, StoreSink
@@ -75,7 +76,7 @@ class BackgroundStore:
         self._thread = threading.Thread(target=self._run, name=f"store {self._rig}", daemon=True)
         self._thread.start()
 
-    def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
+    def take(self, record: Outcome) -> None:
         """Queue a record.
 
         Raises

@@ -5,8 +5,9 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from creak.digests import Outcome
 from creak.errors import StorageError
-from creak.records import AlarmChange, Estimate, Fault, Frame, Run, RunEnd, Scope
+from creak.records import Estimate, Frame, Run, RunEnd, Scope
 from creak.sinks.database import Store
 from creak.sinks.recorder import Recorder
 from creak.sinks.service_alarms import raise_alarm
@@ -46,7 +47,7 @@ class CataloguedRecorder:
         self._recorder.open(run)
         self._list("writing")
 
-    def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
+    def take(self, record: Outcome) -> None:
         """Record; a part that was begun by it, and one that grew by a realisation, are listed anew."""
         parts = len(self._recorder.paths)
         if isinstance(record, Frame):

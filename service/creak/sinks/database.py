@@ -1,9 +1,9 @@
 """The store as a database: opened, checked, and its two kinds of transaction."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import sqlalchemy as sa
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError, SQLAlchemyError
@@ -16,6 +16,14 @@ Mode = Literal["read", "durable", "status"]
 _READER_WAIT_MS = 5_000
 _MODE = "creak_mode"
 _CREATION_LOCK = 0x637265616B  # any constant will do: "creak"
+
+
+class Writing(Protocol):
+    """What a sink needs of a store."""
+
+    def write(self, durable: bool = True) -> AbstractContextManager[sa.Connection]:
+        """As `Store.write`."""
+        ...
 
 
 class Store:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import sqlalchemy as sa
 
-from creak.sinks import operator_tables, tables
+from creak.sinks import fleet, operator_tables, tables
 
 
 def _to_2(connection: sa.Connection) -> None:
@@ -29,7 +29,12 @@ def _to_4(connection: sa.Connection) -> None:
         connection.exec_driver_sql("ALTER TABLE actions ADD COLUMN node TEXT")
 
 
-STEPS: Mapping[int, Callable[[sa.Connection], None]] = {2: _to_2, 3: _to_3, 4: _to_4}
+def _to_5(connection: sa.Connection) -> None:
+    """Add the rigs that several processes share."""
+    tables.metadata.create_all(connection, tables=fleet.ADDED)
+
+
+STEPS: Mapping[int, Callable[[sa.Connection], None]] = {2: _to_2, 3: _to_3, 4: _to_4, 5: _to_5}
 """Version to the step that reaches it from the one before."""
 
 

@@ -4,7 +4,8 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from creak.alarm_records import Conflict
-from creak.records import AlarmChange, Estimate, Fault, Frame, Run, RunEnd
+from creak.digests import Outcome
+from creak.records import Run, RunEnd
 from creak.sinks.actions import Asked
 
 
@@ -15,7 +16,7 @@ class Sink(Protocol):
         """Begin a run with all that is known before its first frame."""
         ...
 
-    def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
+    def take(self, record: Outcome) -> None:
         """Take one record; frames carry the status that the monitor gave them."""
         ...
 

@@ -12,6 +12,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from creak import codec
 from creak.config.rig import rig_toml
+from creak.digests import Digest, Outcome
 from creak.errors import StorageError
 from creak.records import (
     AlarmChange,
@@ -102,8 +103,13 @@ class Recorder:
         self._run = run
         self._begin(run, 1)
 
-    def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
+    def take(self, record: Outcome) -> None:
         """Record one thing, in a new part if it is the first of a realisation and a limit is passed."""
+        if isinstance(record, Digest):  # of a realisation that is recorded: somebody may ask for it again
+            part = self._writable()
+            with self._storing():
+                part.end_realisation(record.block is not None or bool(record.frames))
+            return
         realisation = _begun_by(record)
         if realisation > self._newest:
             if self._newest >= 0 and self._is_full(record.time):
@@ -151,7 +157,7 @@ class Recorder:
 
     def _begin(self, run: Run, number: int) -> None:
         named = self._target.is_dir()
-        path = self._target / f"{_file_name(run)}.mcap" if named else self._target
+        path = self._target / f"{recording_name(run.rig.name, run.id)}.mcap" if named else self._target
         if self._max_bytes is not None or self._max_seconds is not None:
             path = path.with_name(f"{path.stem}-{number:04d}{path.suffix}")
         with self._storing(path):
@@ -229,6 +235,11 @@ class _Part:
             for level in record.nodes:
                 self._trend(level, record.time)
         self._view(record, record.time)
+
+    def end_realisation(self, complete: bool) -> None:
+        self._realisations += complete
+        self.flush()
+        self.sync()
 
     def flush(self) -> None:
         """Finish the chunk and hand it to the operating system."""
@@ -374,6 +385,7 @@ def _begun_by(record: Frame | Fault | Estimate | AlarmChange) -> int:
     return -1
 
 
-def _file_name(run: Run) -> str:
-    name = run.id if run.id.startswith(run.rig.name) else f"{run.rig.name}-{run.id}"
+def recording_name(rig: str, run: str) -> str:
+    """Name of the file of a run's recording, without part number and suffix."""
+    name = run if run.startswith(rig) else f"{rig}-{run}"
     return re.sub(r"[^\w.-]+", "_", name, flags=re.ASCII).lstrip(".") or "recording"

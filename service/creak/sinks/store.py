@@ -16,6 +16,7 @@ import sqlalchemy as sa
 
 from creak.codec import detection_json, element_json, fault_json, node_json, time_json
 from creak.config.rig import rig_toml
+from creak.digests import Outcome
 from creak.records import (
     AlarmChange,
     AlarmState,
@@ -30,7 +31,7 @@ from creak.records import (
 )
 from creak.sinks import operator_tables, tables
 from creak.sinks.alarm_rows import KEEP_EVENTS, put_alarm, tell
-from creak.sinks.database import Store, open_store
+from creak.sinks.database import Store, Writing, open_store
 from creak.sinks.restart import take_over
 from creak.sinks.tally import Tally
 
@@ -86,7 +87,7 @@ class StoreSink:
 
     Parameters
     ----------
-    store : Store
+    store : Store, or Writing
         May be shared by the sinks of many rigs.
     keep_events : int
         How many events the stream can go back.
@@ -101,7 +102,7 @@ class StoreSink:
     """
 
     def __init__(
-        self, store: Store, *, keep_events: int = KEEP_EVENTS, clock: Callable[[], int] = time.time_ns
+        self, store: Writing, *, keep_events: int = KEEP_EVENTS, clock: Callable[[], int] = time.time_ns
     ) -> None:
         self._store = store
         self._keep_events = keep_events
@@ -117,9 +118,7 @@ class StoreSink:
 
     def open(self, run: Run) -> None:
         """Make a run the current one of its rig; what a run of the same id left behind is told anew."""
-        self._run, self._rig = run.id, run.rig.name
-        self._tally, self._last, self._heard = Tally(), None, None
-        self._faults.clear()
+        self.resume(run, Counts())
         row = _run_row(run, self._clock())
         with self._store.write() as connection:
             _interrupt(connection, self._rig)
@@ -137,7 +136,26 @@ class StoreSink:
             take_over(connection, run)
             self._tell(connection, [("run", self._run_event(RUNNING, run.start))])
 
-    def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
+    def resume(self, run: Run, counts: Counts) -> None:
+        """Go on with a run that is open in the store already."""
+        self._run, self._rig = run.id, run.rig.name
+        self._tally, self._last, self._heard = Tally(), None, None
+        self._faults.clear()
+        self._tally.restore(counts)
+
+    def count(self, counts: Counts, reached: int, heard_at: int | None = None) -> None:
+        """Take over counts of what was handled elsewhere, up to a recorded time; heard by wall clock."""
+        self._tally.restore(counts)
+        self._heard = heard_at or self._heard
+        self._reached(reached)
+
+    def flush(self, durable: bool = True) -> None:
+        """Write counts and faults now."""
+        with self._store.write(durable) as connection:
+            self._flush(connection, self._tally.counts)
+        self._clean()
+
+    def take(self, record: Outcome) -> None:
         """Count a frame or a fault; write an estimate or an alarm change at once."""
         self._tally.take(record)
         match record:
@@ -157,9 +175,7 @@ class StoreSink:
         """Write counts and faults if a second has gone by, and a sign of life every few."""
         if now - self._flushed >= (_FLUSH_SECONDS if self._changed else BEAT_SECONDS):
             self._flushed = now  # also if it fails: a store in trouble is not asked at every tick
-            with self._store.write(durable=False) as connection:
-                self._flush(connection, self._tally.counts)
-            self._clean()
+            self.flush(durable=False)
 
     def close(self, end: RunEnd) -> None:
         """Write how the run ended, with the counts of the monitor."""

@@ -6,7 +6,7 @@ the Unix epoch, but for the columns named ``*_at``, which are wall-clock nanosec
 
 import sqlalchemy as sa
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Version of these tables; a database of a newer one is refused."""
 
 metadata = sa.MetaData()

@@ -3,7 +3,8 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
-from creak.records import AlarmChange, Counts, Estimate, Fault, FaultKind, Frame, FrameStatus, Scope
+from creak.digests import Outcome
+from creak.records import Counts, Estimate, Fault, FaultKind, Frame, FrameStatus, Scope
 
 _CLOSED = {FaultKind.INCOMPLETE, FaultKind.SINGULAR}
 
@@ -24,7 +25,7 @@ class Tally:
     faults: Counter[str] = field(default_factory=Counter)
     _open: Counter[int] = field(default_factory=Counter)
 
-    def take(self, record: Frame | Fault | Estimate | AlarmChange) -> None:
+    def take(self, record: Outcome) -> None:
         """Count a record as it comes out of the monitor."""
         match record:
             case Frame(status=FrameStatus.ACCEPTED):
@@ -41,6 +42,16 @@ class Tally:
                 self.realisations = record.realisations
                 self.experiments = record.experiments
                 self.frames += self._open.pop(record.realisation, 0)
+
+    def restore(self, counts: Counts) -> None:
+        """Go on from counts that were taken elsewhere."""
+        self.frames, self.rejected, self.transient = (
+            counts.frames,
+            counts.rejected_frames,
+            counts.transient_frames,
+        )
+        self.realisations, self.experiments = counts.realisations, counts.experiments
+        self.faults = Counter(counts.faults)
 
     @property
     def counts(self) -> Counts:
