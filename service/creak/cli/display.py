@@ -2,15 +2,13 @@
 
 from typing import Any
 
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from creak.codec import alarm_line, node_json
 from creak.digests import Outcome
-from creak.records import AlarmChange, AlarmState, Estimate, Fault, Frame, FrameStatus, Run, RunEnd, Scope
+from creak.records import AlarmState, Frame, Run, RunEnd
 
 STATE_STYLES = {AlarmState.NORMAL.value: "green", AlarmState.RETURNED_UNACKNOWLEDGED.value: "yellow"}
 
@@ -63,82 +61,6 @@ class ProgressBar:
         self._progress.stop()
 
 
-class LiveLevels:
-    """Sink that shows one rig as it runs: realisation, frames, levels and alarm of every node.
-
-    Parameters
-    ----------
-    lines : tuple of str
-        What stands above the table.
-    """
-
-    def __init__(self, lines: tuple[str, ...]) -> None:
-        self._lines = lines
-        screen = console()
-        self._live = Live(console=screen, auto_refresh=False) if screen.is_terminal else None
-        self._run: Run | None = None
-        self._frames = dict.fromkeys(FrameStatus, 0)
-        self._newest: Frame | None = None
-        self._window: Estimate | None = None
-        self._states: dict[str, AlarmState] = {}
-        self._news: list[str] = []
-        self._drawn = float("-inf")
-
-    def open(self, run: Run) -> None:
-        """Begin to draw."""
-        self._run = run
-        if self._live is not None:
-            self._live.start()
-
-    def take(self, record: Outcome) -> None:
-        """Keep what is shown."""
-        match record:
-            case Frame():
-                self._frames[record.status] += 1
-                self._newest = record
-            case Estimate(scope=Scope.WINDOW):
-                self._window = record
-            case AlarmChange():
-                if record.class_ == "process":
-                    self._states[record.node] = record.state
-                self._news.append(alarm_line(record))
-            case Fault():
-                self._news.append(record.message)
-
-    def tick(self, now: float) -> None:
-        """Draw a few times a second."""
-        if self._live is not None and now - self._drawn > 0.2:
-            self._live.update(self._draw(), refresh=True)
-            self._drawn = now
-
-    def close(self, end: RunEnd) -> None:
-        """Leave the last picture standing."""
-        if self._live is not None:
-            self._live.update(self._draw(), refresh=True)
-            self._live.stop()
-
-    def _draw(self) -> Group:
-        assert self._run is not None
-        rows: list[Any] = [Text(line) for line in self._lines]
-        if self._newest is not None:
-            frame, run, frames = self._newest, self._run, self._frames
-            rows.append(
-                Text(
-                    f"realisation {frame.realisation + 1}, experiment {frame.experiment + 1} of {run.rig.q}, "
-                    f"period {frame.period + 1} of {run.periods}; "
-                    f"frames: {frames[FrameStatus.ACCEPTED]} accepted, "
-                    f"{frames[FrameStatus.TRANSIENT]} transient, {frames[FrameStatus.REJECTED]} rejected"
-                )
-            )
-        if self._window is not None:
-            nodes = [
-                node_json(level, self._states.get(level.name, AlarmState.NORMAL)) for level in self._window.nodes
-            ]
-            rows.append(level_table(nodes, f"last {self._window.realisations} realisations"))
-        rows += [Text(line, style="bold") for line in self._news[-5:]]
-        return Group(*rows)
-
-
 def level_table(nodes: list[dict[str, Any]], title: str) -> Table:
     """Table of node levels; where nothing is located, the noise is that of the classical analysis.
 
@@ -158,11 +80,11 @@ def level_table(nodes: list[dict[str, Any]], title: str) -> Table:
         state = node["alarm"]
         table.add_row(
             node["name"],
-            _decibel(node["signal_db"]),
-            _decibel(node["noise_db" if located else "classical_noise_db"]),
-            _decibel(node["total_to_noise_db"]),
-            _decibel(node["classical_total_to_noise_db"]),
-            _probability(node["p_value"]),
+            decibels(node["signal_db"]),
+            decibels(node["noise_db" if located else "classical_noise_db"]),
+            decibels(node["total_to_noise_db"]),
+            decibels(node["classical_total_to_noise_db"]),
+            probability(node["p_value"]),
             Text(state, style=STATE_STYLES.get(state, "bold red")),
         )
     return table
@@ -176,7 +98,7 @@ def detection_table(levels: list[dict[str, Any]]) -> Table:
         table.add_column(heading, justify="right")
     keys = ("excited_db", "odd_db", "even_db", "noise_db")
     for level in levels:
-        table.add_row(level["name"], *(_decibel(level[key]) for key in keys))
+        table.add_row(level["name"], *(decibels(level[key]) for key in keys))
     return table
 
 
@@ -193,11 +115,13 @@ def element_line(element: dict[str, Any]) -> str:
     return f"distortion acts between {ends}: share {element['share']:.3g}, {sure}"
 
 
-def _decibel(value: float | None) -> str:
+def decibels(value: float | None) -> str:
+    """A level with one digit; a dash where there is none."""
     return "–" if value is None else f"{value:.1f}"
 
 
-def _probability(value: float | None) -> str:
+def probability(value: float | None) -> str:
+    """A p-value with two digits; a dash where there is none."""
     if value is None:
         return "–"
     return f"{value:.2g}" if value > 1e-99 else "< 1e-99"

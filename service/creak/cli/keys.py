@@ -51,7 +51,10 @@ def add(
 
 
 def show(config: Config = Path("creak.toml")) -> int:
-    """List the names and scopes of all keys."""
+    """List the names and scopes of all keys.
+
+    Example: `creak key list --config creak.toml`
+    """
     with _store(config) as store, store.read() as connection:
         for key in keys.everyone(connection):
             typer.echo(f"{key.scope.value:8}{key.name}")
@@ -61,7 +64,10 @@ def show(config: Config = Path("creak.toml")) -> int:
 def remove(
     name: Annotated[str, typer.Argument(help="Name of the key.")], config: Config = Path("creak.toml")
 ) -> int:
-    """Remove a key; a service that runs refuses it a few seconds later."""
+    """Remove a key; a service that runs refuses it a few seconds later.
+
+    Example: `creak key remove control-room --config creak.toml`
+    """
     with _store(config) as store, store.write() as connection:
         if not keys.remove(connection, name):
             raise InputError(f"there is no key {name!r}")

@@ -3,6 +3,7 @@
 import contextlib
 import ipaddress
 import logging
+import os
 import signal
 import socket
 import time
@@ -20,8 +21,8 @@ from creak.analysis import Plan
 from creak.api import listen_on
 from creak.api.access import Access
 from creak.api.process import ApiProcess, ApiSettings
-from creak.cli.display import LiveLevels
 from creak.cli.fleet import background_analysis
+from creak.cli.live import LiveLevels
 from creak.cli.recordings import replay_line
 from creak.cli.sources import make_folder, named_rigs, open_source, plan_of, simulated_rig
 from creak.cli.supervision import Supervisor
@@ -111,11 +112,15 @@ def demo(
     with closing(listen_on(settings.server.host, settings.server.port)) as listener:
         _empty_store(settings)
         host, number, *_ = listener.getsockname()
+        address = f"http://{host}:{number}"
         display = LiveLevels(
-            (
-                f"{rig.name}: http://{host}:{number}, recorded in {settings.data}",
-                f"a spring appears at node 3 after {_DEMO_HEALTHY} healthy realisations; Ctrl-C ends the demo",
-            )
+            f"for {_DEMO_HEALTHY} realisations the beam is healthy; then a cubic spring appears at node 3",
+            {
+                "look": f"{address}/",
+                "ask": f"curl {address}/api/v1/alarms",
+                "recorded": f"{settings.data}{os.sep}",
+                "end": "Ctrl-C",
+            },
         )
         return _run(settings, [rig], [source], listener, [[display, _IntoThePresent(source)]])
 

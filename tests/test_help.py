@@ -1,0 +1,86 @@
+"""Every command says what it does with an example that it understands itself; shells can complete them all."""
+
+import inspect
+import os
+import re
+import shlex
+import subprocess
+import sys
+
+import pytest
+import typer
+
+from creak.cli import app, run
+
+
+def commands(group, words=()):
+    """Every command with the words that call it, those of its groups before it."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands(command, (*words, name))
+        else:
+            yield (*words, name), command
+
+
+ROOT = typer.main.get_command(app)
+ALL = list(commands(ROOT))
+
+
+def examples(command):
+    text = inspect.cleandoc(command.help or "")
+    return [" ".join(found.split()) for found in re.findall(r"Example: `([^`]+)`", text)]
+
+
+@pytest.mark.parametrize(("words", "command"), ALL, ids=[" ".join(words) for words, _ in ALL])
+def test_every_command_has_an_example_that_it_understands(words, command):
+    """Kills an example of an option that is called otherwise now, or of another command."""
+    found = examples(command)
+    assert found, "no example"
+    for example in found:
+        called, *arguments = shlex.split(example)
+        assert (called, *arguments[: len(words)]) == ("creak", *words)
+        context = command.make_context(" ".join(words), arguments[len(words) :])
+        unknown = [word for word in context.args if word not in ("--json",)]  # bench hands options on
+        assert unknown == []
+
+
+@pytest.mark.parametrize("words", [(), *(words for words, _ in ALL), ("key",)], ids=" ".join)
+def test_help_is_shown(words, capsys):
+    assert run([*words, "--help"]) == 0
+    assert "Usage" in capsys.readouterr().out
+
+
+def complete(*words):
+    line = " ".join(("creak", *words))
+    told = {"_CREAK_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words))}
+    done = subprocess.run(
+        [sys.executable, "-c", "import sys; sys.argv[0] = 'creak'; from creak.cli import main; main()"],
+        env={**os.environ, **told},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.split()
+
+
+def test_a_shell_completes_commands_and_options():
+    assert complete("ex") == ["export", "excitation"]
+    assert "--save-model" in complete("diagnose", "--")
+    assert complete("key", "") == ["add", "list", "remove"]
+
+
+@pytest.mark.parametrize(
+    ("wish", "shell", "said"),
+    [
+        ("--show-completion", "zsh", "_CREAK_COMPLETE"),
+        ("--install-completion", "bash", "bash completion installed"),
+    ],
+)
+def test_a_shell_learns_to_complete(wish, shell, said, tmp_path):
+    environment = {**os.environ, "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1", "HOME": str(tmp_path)}
+    program = "import sys; sys.argv[0] = 'creak'; from creak.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, wish, shell], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert said in done.stdout
