@@ -44,6 +44,8 @@ from creak.records import Complex, Real
 SMALLEST: Final = 0.002
 """Least inner parameter that is tried, in standard deviations of the motion."""
 
+_LEAST_GAIN: Final = 0.02
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -133,6 +135,8 @@ class Candidate:
         """Effect with these numbers; None if they are none that it can have."""
         names = self.kind.parameter_names()
         if self.kind in (ActuatorGain, SensorGain):
+            if 1.0 + coefficient < _LEAST_GAIN:
+                return None  # silence explains everything, beside a structure that is free to vanish too
             values = [1.0 + coefficient]
         elif self.group != "internal" and len(names) == 1:
             values = [float(inner)]

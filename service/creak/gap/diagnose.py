@@ -242,6 +242,11 @@ def _notes(rig: Rig, model: Model, data: PeriodicData, halves: _Halves) -> list[
         )
     if rig.n == 1:
         notes.append("one node is measured, so ground, actuator and sensor are told apart by their laws alone")
+    if data.periods == 1:
+        notes.append(
+            "there is one period an experiment, so noise is what the lines hold that are not excited: even "
+            "distortion counts as noise"
+        )
     if data.degrees <= 3:
         notes.append("the noise is known from very few periods")
     if rig.n == 1:

@@ -9,6 +9,8 @@ from creak.mechanics.effects import GROUND, Damping, Effect, Mass, Stiffness
 from creak.mechanics.structure import Lumped, PointMass
 from creak.mechanics.system import Model
 
+_LEFT = 0.05  # of a mass or a stiffness
+
 _OF_STATION: dict[LinearKind, str] = {
     Mass: "moving_mass",
     Stiffness: "suspension_stiffness",
@@ -67,6 +69,20 @@ def own_elements(model: Model) -> list[Own]:
         found.append(Own((Stiffness, at), "-".join(link.between), "stiffness", link.stiffness))
         found.append(Own((Damping, at), "-".join(link.between), "damping", link.damping))
     return found
+
+
+def plausible(model: Model, hypothesis: Hypothesis) -> bool:
+    """Whether linear changes leave something of the model's own masses and stiffnesses.
+
+    Where all of them are free, a structure that vanishes together with its input or its response explains any
+    motion: an actuator or a sensor that passes nothing is then the best of all candidates.
+    """
+    changes = dict(hypothesis.linear)
+    return all(
+        own.value + changes.get(own.key, 0.0) > _LEFT * own.value
+        for own in own_elements(model)
+        if own.value > 0 and own.parameter != "damping"
+    )
 
 
 def oriented(between: tuple[str, str], names: list[str]) -> tuple[str, str]:

@@ -36,13 +36,14 @@ class Level:
 
 def level(data: PeriodicData, y: Real, experiments: Indices) -> Level:
     """Gap of simulated responses ``(E', n, N)`` at experiments ``(E',)``."""
-    rest = lines_of(y) - data.Y[experiments]
-    measured = np.sum(np.abs(data.Y[experiments]) ** 2, axis=(0, 1))
-    power = np.abs(rest) ** 2
+    counts = data.counts
+    rest = (lines_of(y) - data.Y[experiments])[:, counts]
+    measured = np.sum(np.abs(data.Y[experiments][:, counts]) ** 2, axis=(0, 1))
+    power, variance = np.abs(rest) ** 2, data.variance[counts]
     return Level(
         np.sum(power, axis=(0, 1)) / measured,
-        len(experiments) * data.variance.sum(axis=0) / measured,
-        float(np.mean(power / data.variance)),
+        len(experiments) * variance.sum(axis=0) / measured,
+        float(np.mean(power / variance)),
     )
 
 
@@ -110,7 +111,8 @@ def divide(rig: Rig, data: PeriodicData, rest: Complex, U: Complex) -> Division:
         linear[excited] = np.mean(np.abs(coherent) ** 2, axis=1) - left * q / E
         apart[excited] = left
         freedom[excited] = (E - q) / E
-    noise = data.variance
+    noise = np.where(data.counts[:, None], data.variance, 0.0)
+    apart[~data.counts] = 0.0
     spread = apart**2 / (E * freedom[:, None])
     cross = 2 * np.maximum(linear, 0.0) * apart / E + (apart * q / E) ** 2 / max(q, 1) * excited[:, None]
     return Division(linear, apart - noise, noise, cross + spread * (q / E) ** 2, spread)

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
+from numpy.typing import NDArray
 
 from creak.errors import MeasurementError
+from creak.gap.quiet import quiet_variance
 from creak.realisations import Collector
-from creak.records import Complex, Fault, Frame, FrameStatus, Real, Run
+from creak.records import Complex, Fault, Frame, FrameStatus, Real, Rig, Run
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +28,8 @@ class PeriodicData:
     Y : array, (E, L, n)
         DFT of the means divided by N at all lines, ``L = N//2 + 1``.
     variance : array, (L, n)
-        Variance of the noise of the *mean* of an experiment's periods, ``sigma_n^2/P`` of (40).
+        Variance of the noise of the *mean* of an experiment's periods, ``sigma_n^2/P`` of (40); infinite at lines
+        that do not count.
     degrees : float
         Complex degrees of freedom behind each variance, ``E (P - 1)`` times the lines that were pooled.
     periods : int
@@ -43,6 +46,11 @@ class PeriodicData:
     degrees: float
     periods: int
     pooled: int = 1
+
+    @property
+    def counts(self) -> NDArray[np.bool_]:
+        """Lines that count, ``(L,)``."""
+        return np.asarray(np.isfinite(self.variance).all(axis=1))
 
 
 _FEWEST_DEGREES = 24  # below this the noise of neighbouring lines is pooled: a few periods give no weight
@@ -65,13 +73,9 @@ def gather(run: Run, items: Iterable[Frame | Fault]) -> PeriodicData:
     Raises
     ------
     MeasurementError
-        If no realisation is complete, or an experiment has one steady period only.
+        If no realisation is complete, or an experiment has one steady period only and all lines are excited.
     """
     rig = run.rig
-    if run.steady_periods < 2:
-        raise MeasurementError(
-            "the recording has 1 steady period an experiment, so its noise is not known; needed are 2 or more"
-        )
     collector = Collector(run)
     pending: dict[tuple[int, int, int], Frame] = {}
     indices: list[int] = []
@@ -100,8 +104,24 @@ def gather(run: Run, items: Iterable[Frame | Fault]) -> PeriodicData:
         pending = {key: kept for key, kept in pending.items() if key[0] > index}
     if not indices:
         raise MeasurementError("the recording has no complete realisation, so there is nothing to diagnose")
+    if run.steady_periods == 1:
+        return _of_one_period(rig, np.array(indices), np.array(u), np.array(y))
     degrees = len(indices) * (run.steady_periods - 1)
     return _data(np.array(indices), np.array(u), np.array(y), scatter, degrees, run.steady_periods)
+
+
+def _of_one_period(
+    rig: Rig, realisation: np.ndarray[tuple[int], np.dtype[np.int64]], u: Real, y: Real
+) -> PeriodicData:
+    size = y.shape[-1]
+    Y = np.ascontiguousarray(np.swapaxes(scipy.fft.rfft(y, axis=-1), -1, -2)) / size
+    variance, degrees = quiet_variance(rig, Y)
+    return PeriodicData(realisation, u, y, Y, np.maximum(variance, _floor(Y)), degrees, 1, round(degrees / len(y)))
+
+
+def _floor(Y: Complex) -> Real:
+    power = np.mean(np.sum(np.abs(Y) ** 2, axis=1), axis=0)
+    return np.asarray(_FLOOR * power / Y.shape[1] + np.finfo(float).tiny)
 
 
 def _data(
@@ -123,8 +143,6 @@ def _data(
         variance = np.stack(
             [np.convolve(padded[:, i], kernel, mode="valid") for i in range(variance.shape[1])], -1
         )
-    power = np.mean(np.sum(np.abs(Y) ** 2, axis=1), axis=0)
-    floor = _FLOOR * power / Y.shape[1] + np.finfo(float).tiny
     return PeriodicData(
-        realisation, u, y, Y, np.maximum(variance / periods, floor), float(degrees * pooled), periods, pooled
+        realisation, u, y, Y, np.maximum(variance / periods, _floor(Y)), float(degrees * pooled), periods, pooled
     )

@@ -172,7 +172,8 @@ class Scan:
             inverse = np.linalg.pinv(sub / np.outer(scale, scale), rcond=1e-10, hermitian=True)
             theta = inverse @ (right[keep] / scale)
             left = (power - theta @ (right[keep] / scale)) / self.sums.counts[0]
-            cost = 2 * theta**2 / np.maximum(np.diag(inverse), 1e-300) / max(left, 1e-300)
+            with np.errstate(over="ignore"):  # what explains everything costs infinitely much to drop
+                cost = 2 * theta**2 / np.maximum(np.diag(inverse), 1e-300) / max(left, 1e-300)
             costs = [cost[keep.index(k)] for k in linear]
             worst = int(np.argmin(costs))
             if costs[worst] >= least:

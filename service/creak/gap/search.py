@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from creak.errors import ConfigurationError
 from creak.gap.approach import approach
-from creak.gap.hypothesis import Hypothesis, apply, own_elements
+from creak.gap.growth import grown
+from creak.gap.hypothesis import Hypothesis, apply, own_elements, plausible
 from creak.gap.properties import properties_of
 from creak.gap.refine import Refined, Setting, refine
 from creak.gap.regression import Indices
@@ -82,12 +83,12 @@ class Search:
         self.floor = degrees / (degrees - 1)
         self.few = fitted[np.linspace(0, len(fitted) - 1, min(_FEW, len(fitted))).astype(int)]
         self.aside = held[: _FEW - 1] if len(held) else self.few
-        self.before = self._scan(setting).rest()
+        self.before = self.scan(setting).rest()
         self._placed_beside_linear: list[tuple[float, str, tuple[str, ...]]] = []
 
     def run(self) -> Searched:
         """Try one effect, wrong parameters of the model's own, linear elements, both, and pairs, in this order."""
-        base = self._scan(self.setting)
+        base = self.scan(self.setting)
         places = base.places(base.none)
         several = self.setting.rig.n > 1
         one_place = several and places[0][0] < _ONE_PLACE
@@ -115,7 +116,11 @@ class Search:
             places = self._places_after(every[0])
         elif self._placed_beside_linear and self._placed_beside_linear[0][0] < 0.5 * places[0][0]:
             places = self._placed_beside_linear
-        return Searched(every, False, places)
+        if every and not self.explains(every[0].refined):
+            self.report("further effects", 0.75)
+            larger = [Ranked(refined, self.score(refined)) for refined in grown(self, every[0])]
+            every = (*reversed(larger), *every)
+        return Searched(every, bool(every) and self.explains(every[0].refined), places)
 
     def explains(self, refined: Refined) -> bool:
         """Whether what is left is noise, by the experiments kept aside."""
@@ -129,7 +134,8 @@ class Search:
     def _explains(self, stage: Sequence[Ranked]) -> bool:
         return bool(stage) and self.explains(stage[0].refined)
 
-    def _scan(self, setting: Setting) -> Scan:
+    def scan(self, setting: Setting) -> Scan:
+        """Look at the recording through a setting's model."""
         view = see(setting.rig, setting.model, setting.data, setting.top)
         return Scan(view, self.fitted, self.held, self.floor)
 
@@ -149,6 +155,7 @@ class Search:
                 for trial in trials[at]
                 if np.isfinite(trial.rest) and (trial.candidate.kind, trial.candidate.at) not in had
             ]
+        found = [item for item in found if plausible(self.setting.model, item.hypothesis)]
         return sorted(found, key=lambda item: item.rest), trials
 
     def _replacements(self) -> list[Found]:
@@ -157,12 +164,12 @@ class Search:
         for i, effect in enumerate(self.setting.model.effects):
             if isinstance(effect, Restoring | Electronic) and not isinstance(effect, Resonator):
                 without = replace(self.setting, model=apply(self.setting.model, Hypothesis(dropped=(i,))))
-                found.append(replacement(self._scan(without), effect, i))
+                found.append(replacement(self.scan(without), effect, i))
         return found
 
     def _beside_linear(self) -> tuple[Ranked, ...]:
         """Linear elements alone, and one effect beside them; whitened anew with the corrected linear part."""
-        scan = self._scan(self.setting)
+        scan = self.scan(self.setting)
         keys = {own.key for own in own_elements(self.setting.model)}
         own = np.array([element in keys for element in scan.sums.elements])
         every: list[Ranked] = []
@@ -214,7 +221,7 @@ class Search:
             if left / self.floor > max(_MANY, _HOPELESS * self.before):
                 continue
             changed = replace(self.setting, model=apply(self.setting.model, linear))
-            seen = self._scan(changed)
+            seen = self.scan(changed)
             changes = dict(linear.linear)
             for trial in seen.trials(*place, free)[:2]:
                 if np.isfinite(trial.rest):
@@ -234,7 +241,7 @@ class Search:
             self.setting, model=apply(self.setting.model, Hypothesis(linear=first.hypothesis.linear))
         )
         try:
-            scan = self._scan(corrected)
+            scan = self.scan(corrected)
         except ConfigurationError:  # corrected beyond what a structure can be
             return []
         found = []
@@ -246,7 +253,7 @@ class Search:
             chosen = chosen[:3]
         else:
             chosen = [[]]
-        whole = self._scan(self.setting)
+        whole = self.scan(self.setting)
         for trials_ in chosen:
             fit = scan.sums.fit([trial.column for trial in trials_], free)
             # What matters is judged from the model as it was, where a correction stands whole.
@@ -311,10 +318,11 @@ class Search:
             if refined.settled and sharper.size < refined.hypothesis.size:
                 refined = refine(self.setting, sharper, self.few, self.aside, 2)
             if refined.settled:
-                ranked.append(Ranked(refined, self._score(refined)))
+                ranked.append(Ranked(refined, self.score(refined)))
         return tuple(sorted(ranked, key=lambda item: item.score))
 
-    def _score(self, refined: Refined) -> float:
+    def score(self, refined: Refined) -> float:
+        """Bayesian information criterion of a fit to the output."""
         per = self.setting.top * self.setting.rig.n
         counts = len(self.few) * per, len(self.aside) * per * bool(len(self.held))
         power = refined.left * counts[0] + refined.held * counts[1]
@@ -322,7 +330,7 @@ class Search:
 
     def _places_after(self, best: Ranked) -> list[tuple[float, str, tuple[str, ...]]]:
         linear = Hypothesis(linear=best.hypothesis.linear)
-        scan = self._scan(replace(self.setting, model=apply(self.setting.model, linear)))
+        scan = self.scan(replace(self.setting, model=apply(self.setting.model, linear)))
         return scan.places(scan.none)
 
 

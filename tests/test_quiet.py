@@ -1,0 +1,80 @@
+"""Recordings with one period an experiment: noise from quiet lines, and structures that must not vanish."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from creak.errors import MeasurementError
+from creak.gap.diagnose import diagnose
+from creak.gap.hypothesis import Hypothesis, plausible
+from creak.gap.periodic import gather
+from creak.gap.quiet import quiet_variance
+from creak.mechanics.effects import GROUND, CubicStiffness, Mass, QuadraticDamping, Stiffness
+from creak.mechanics.steady import simulate_steady
+from creak.mechanics.structure import Link, Lumped, PointMass
+from creak.mechanics.system import assemble
+from creak.multisine import realisation
+from creak.records import Excitation, Frame, Node, Rig, Run
+from gap_recordings import CHAIN
+
+ODD = Rig("one", 300.0, 1024, 0, tuple(range(11, 221, 2)), (Node("1", "m", "N"),), grid="odd")
+TRUTH = Lumped(
+    (PointMass("1", 1.0),),
+    (Link(("1", GROUND), 6e4, 30.0),),
+    (CubicStiffness(("1", GROUND), 5e8), QuadraticDamping(("1", GROUND), 4.0)),
+)
+
+
+def test_noise_is_what_the_quiet_lines_hold():
+    """White noise of known variance, on an odd grid with odd distortion beside it: within its own scatter."""
+    rng = np.random.default_rng(1)
+    E, L = 6, ODD.period_samples // 2 + 1
+    Y = np.sqrt(0.5) * (rng.standard_normal((E, L, 1)) + 1j * rng.standard_normal((E, L, 1)))
+    Y[:, 1::2] += 30.0  # excited, and odd harmonics above the band
+    variance, degrees = quiet_variance(ODD, Y)
+    assert np.isinf(variance[0]).all()
+    assert degrees == 6 * 24
+    # Each is a mean of 144 exponential variables; 512 of them, neighbours shared: within 4.5 deviations of 1.
+    np.testing.assert_allclose(variance[1:], 1.0, atol=4.5 / np.sqrt(degrees))
+
+
+def test_one_period_on_a_full_grid_tells_no_noise():
+    full = replace(ODD, lines=tuple(range(11, 221)), grid="full")
+    with pytest.raises(MeasurementError, match="1 steady period an experiment, so its noise is not known"):
+        quiet_variance(full, np.ones((2, 513, 1), complex))
+
+
+def test_a_structure_must_not_vanish():
+    """Kills actuators and sensors that pass nothing beside a structure of nothing, which explain every motion."""
+    mass, spring = (Mass, ("1", GROUND)), (Stiffness, ("1", GROUND))
+    assert plausible(CHAIN, Hypothesis(linear=((mass, -0.5), (spring, 1e4))))
+    assert not plausible(CHAIN, Hypothesis(linear=((mass, -0.999),)))
+    assert not plausible(CHAIN, Hypothesis(linear=((spring, -2.1e4),)))
+
+
+def test_two_effects_at_one_mass_beside_a_linear_part_that_is_off():
+    """As measured on circuits and single masses: the best linear model, one period, a second effect far weaker.
+
+    Kills a search that ends at the first law, and one that is misled by an actuator that passes nothing.
+    """
+    u = np.concatenate([realisation(ODD, 40.0, 3, m) for m in range(6)])
+    y = simulate_steady(assemble(TRUTH, ODD), u, ODD.sample_rate, ODD.hold).y
+    rng = np.random.default_rng(2)
+    y = y + 10 ** (-50 / 20) * y.std() * rng.standard_normal(y.shape) + 2 * y.std()  # an offset of the amplifier
+    run = Run("one", ODD, 1, 0, Excitation("multisine", rms=40.0, seed=3), "simulated")
+    data = gather(run, [Frame(m, 0, 0, 0, u[m], y[m]) for m in range(6)])
+    lines = list(ODD.lines)
+    s = 2j * np.pi * ODD.frequencies
+    stiffness = np.mean(np.fft.rfft(u)[..., lines] / np.fft.rfft(y)[..., lines], axis=(0, 1))
+    terms = np.stack([np.ones(len(s)), s, s**2], axis=1) / stiffness[:, None]
+    k, c, m = np.linalg.lstsq(np.concatenate([terms.real, terms.imag]), np.repeat([1.0, 0.0], len(s)), rcond=None)[
+        0
+    ]
+    believed = Lumped((PointMass("1", m),), (Link(("1", GROUND), k, c),))
+    found = diagnose(ODD, believed, data)
+    assert found.verdict == "explained"
+    causes = {cause.effect: cause for cause in found.causes}
+    assert set(causes) == {"cubic_stiffness", "quadratic_damping"}
+    assert causes["cubic_stiffness"].parameters["coefficient"] == pytest.approx(5e8, rel=0.02)
+    assert causes["quadratic_damping"].parameters["coefficient"] == pytest.approx(4.0, rel=0.1)
