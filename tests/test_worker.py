@@ -166,3 +166,31 @@ def test_a_sink_that_cannot_be_opened_closes_the_others(run):
     with pytest.raises(StorageError):
         worker.start()
     assert first.end.status is RunStatus.FAILED
+
+
+class Recorded(Frames):
+    """A source that `drive` reads ahead."""
+
+    def replayed(self):
+        return self.frames()
+
+
+def test_what_is_read_ahead_is_the_same(run):
+    frames = make_frames(run, 4)
+    plain, ahead = Keeper(), Keeper()
+    assert drive(Frames(run, frames), [plain])[1] == drive(Recorded(run, frames), [ahead])[1]
+    assert [type(r) for r in plain.records] == [type(r) for r in ahead.records]
+    assert [r.y.tobytes() for r in plain.records if isinstance(r, Frame)] == [
+        r.y.tobytes() for r in ahead.records if isinstance(r, Frame)
+    ]
+
+
+@pytest.mark.parametrize("refuses", [(), (3,)])
+def test_an_error_ends_the_run_and_the_reader(run, refuses):
+    """Kills a reader that goes on after the run, and an error that is lost in its thread."""
+    keeper = Keeper(refuses=refuses)
+    error = StorageError if refuses else RigError
+    with pytest.raises(error):
+        drive(Recorded(run, make_frames(run, 4), error=RigError("the rig burns")), [keeper])
+    assert keeper.end.status is RunStatus.FAILED
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("reader")]

@@ -9,7 +9,10 @@ import logging
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from creak.alarm_records import Action, Clock, Conflict
@@ -24,6 +27,7 @@ from creak.sources.protocol import Replayable, Source
 _log = logging.getLogger(__name__)
 
 _QUEUE_FRAMES = 16
+_AHEAD_ITEMS = 8
 _TICK_SECONDS = 0.2
 
 
@@ -169,8 +173,29 @@ def _items(source: Source) -> Iterator[Item]:
     return source.replayed() if isinstance(source, Replayable) else source.frames()
 
 
+@contextmanager
+def _read_ahead(source: Source) -> Iterator[Iterator[Item]]:
+    """All that a source yields; the next few items of a recording are fetched by a thread of its own meanwhile."""
+    items = _items(source)
+    if not isinstance(source, Replayable):
+        yield items
+        return
+    reader = ThreadPoolExecutor(1, thread_name_prefix="reader")
+
+    def fetched() -> Iterator[Item]:
+        coming = deque(reader.submit(next, items, None) for _ in range(_AHEAD_ITEMS))
+        while (item := coming.popleft().result()) is not None:
+            coming.append(reader.submit(next, items, None))
+            yield item
+
+    try:
+        yield fetched()
+    finally:
+        reader.shutdown(cancel_futures=True)
+
+
 def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
-    """Run a source to its end in this thread.
+    """Run a source to its end in this thread; a recording is read ahead in another.
 
     Parameters
     ----------
@@ -194,11 +219,12 @@ def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
     monitor = path.monitor
     assert isinstance(monitor, Monitor)
     try:
-        for item in _items(source):
-            path.take(item)
-            if path.failure is not None:
-                raise path.failure
-            path.tick(time.monotonic())
+        with _read_ahead(source) as items:
+            for item in items:
+                path.take(item)
+                if path.failure is not None:
+                    raise path.failure
+                path.tick(time.monotonic())
     except KeyboardInterrupt:
         return monitor, path.close(RunStatus.INTERRUPTED, "interrupted by the user")
     except BaseException as error:

@@ -18,10 +18,10 @@ def options(description, **defaults):
     return parser.parse_args()
 
 
-def show(title, rows, as_json):
-    """Rows are dictionaries with the same keys."""
+def show(title, rows, as_json, **more):
+    """Rows are dictionaries with the same keys; the document holds `more` beside them."""
     if as_json:
-        Console().print_json(json.dumps({"benchmark": title, "rows": rows}))
+        Console().print_json(json.dumps({"benchmark": title, "rows": rows, **more}))
         return
     table = Table(title=title, title_justify="left")
     for key in rows[0]:
