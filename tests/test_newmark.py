@@ -232,7 +232,7 @@ def test_cached_code_is_out_of_date_when_a_callee_s_file_is():
 
 
 def test_steps_as_a_newmark_in_plain_numpy_does():
-    """Newton on the elements' forces alone, against Newton on all coordinates; the peer that the benchmark times."""
+    """Newton on the forces of the elements alone, against Newton on all coordinates, as the benchmark times it."""
     rig, system, u = bench_simulation.study(1e9)
     samples = 600
     forces = (system.inputs @ u[0]).T[:samples]
