@@ -44,6 +44,10 @@ class ConfigurationError(InputError):
         self.key = key
         self.problem = problem
 
+    def __reduce__(self) -> tuple[type, tuple[str, str, str]]:
+        """Cross to another process whole; an exception is otherwise made anew of its text alone."""
+        return type(self), (self.source, self.key, self.problem)
+
 
 class MeasurementError(InputError):
     """Samples that cannot be used: wrong shape, not finite, or a singular input matrix."""

@@ -4,7 +4,9 @@ import json
 import os
 import shlex
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from functools import partial
+from operator import add
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,13 +14,16 @@ import typer
 from rich.console import Console
 
 from creak.cli.display import ProgressBar, console, detection_table, element_line, level_table
-from creak.codec import parse_time, summary_json
+from creak.cli.progress import progress
+from creak.cluster import Here, connected
+from creak.codec import parse_time
 from creak.config.rig import load_rig
 from creak.errors import ConfigurationError, InputError
-from creak.quality import FLAWS
-from creak.records import Estimate, Fault, FaultKind, Run, RunEnd, RunStatus, Scope
+from creak.records import RunStatus
+from creak.replay import Newest, in_order, replayed, summary
 from creak.sinks.recorder import Recorder
 from creak.sources.protocol import Source
+from creak.sources.recording import recordings
 from creak.worker import drive
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Recording to write (.mcap).")]
@@ -136,48 +141,66 @@ def import_(
 
 
 def replay(
-    files: Annotated[list[Path], typer.Argument(help="A recording, or the parts of one.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Recordings of one rig, in one file each or in parts, in any order.")
+    ],
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
     method: Annotated[
         Literal["plain", "lpm"],
         typer.Option(help="plain: drop transient periods; lpm: keep all, and estimate the transient."),
     ] = "plain",
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Dask scheduler whose workers replay a recording each, for instance tcp://10.0.0.1:8786."
+        ),
+    ] = None,
 ) -> None:
     """Put a recording through the same pipeline as live data: the same numbers come out.
 
+    Several recordings of one rig give the levels over all of them, and the alarms at the end of the last one.
+
     Example: `creak replay three-mass.mcap --json`
     """
-    from creak.sources.recording import Recording
-    from creak.sources.settled import SettledSource
+    ordered = in_order(recordings(*files))
+    parts = [tuple(path.resolve() for path in recording.paths) for recording in ordered]
+    if scheduler is None and len(parts) == 1:
+        whole = replayed(parts[0], method, [ProgressBar("replaying", None)])
+    else:
+        done = 0
+        with nullcontext(Here()) if scheduler is None else connected(scheduler) as place, progress() as tell:
 
-    recording = Recording(*files)
-    newest = _Newest()
-    source = SettledSource(recording) if method == "lpm" else recording
-    monitor, end = drive(source, [newest, ProgressBar("replaying", None)])
-    if end.status is RunStatus.INTERRUPTED:
-        raise KeyboardInterrupt
-    for line in recording.damage:
-        warn(line)
-    unavailable = (
-        list(_too_few_windows(recording.run, newest)) if newest.estimate else ["no realisation is complete"]
-    )
-    rig = recording.run.rig
-    document = summary_json(
-        rig.name, monitor.counts, newest.estimate, monitor.alarms, recording.truncated, unavailable=unavailable
-    )
-    document["quality"] = newest.quality
-    document["method"] = method
+            def next_one() -> None:
+                nonlocal done
+                done += 1
+                tell(f"replaying, {done} of {len(parts)} recordings", done / len(parts))
+
+            whole = place.reduce(partial(replayed, method=method), parts, add, next_one)
+    for told in whole.recordings:
+        for line in told.damage:
+            warn(line)
+    document = summary(whole, method)
     if as_json:
         typer.echo(json.dumps(document, indent=1, allow_nan=False))
         return
+    _show(document)
+
+
+def _show(document: dict[str, Any]) -> None:
     out = Console()
+    recorded = document["recordings"]
+    among = f" in {len(recorded)} recordings" if len(recorded) > 1 else ""
     out.print(
-        f"{document['rig']}: {document['frames']} frames of {document['realisations']} realisations, "
+        f"{document['rig']}: {document['frames']} frames of {document['realisations']} realisations{among}, "
         f"{document['rejected_frames']} rejected" + (", file cut before its end" if document["truncated"] else ""),
         highlight=False,
     )
-    out.print(level_table(document["nodes"], "whole run"))
+    out.print(level_table(document["nodes"], "all recordings" if among else "whole run"))
+    for told in recorded if among else ():
+        raised = [f"node {node} {state}" for node, state in told["alarms"].items() if state != "normal"]
+        if raised:
+            out.print(f"at the end of {', '.join(told['files'])}: {', '.join(raised)}", highlight=False)
     for element in document["elements"]:
         out.print(element_line(element), highlight=False, soft_wrap=True)
     if document["detection"]:
@@ -195,58 +218,13 @@ def replay_line(paths: list[Path]) -> str:
     return shlex.join(["creak", "replay", *(str(path) for path in paths)])
 
 
-class _Newest:
-    """Sink that keeps the newest estimate of the whole run and counts the windows that can be judged."""
-
-    def __init__(self) -> None:
-        self.estimate: Estimate | None = None
-        self.windows = 0
-        self.flaws: dict[FaultKind, list[Fault]] = {}
-
-    def open(self, run: Run) -> None:
-        pass
-
-    def take(self, record: object) -> None:
-        if isinstance(record, Fault) and record.kind in FLAWS:
-            self.flaws.setdefault(record.kind, []).append(record)
-        elif isinstance(record, Estimate):
-            if record.scope is Scope.RUN:
-                self.estimate = record
-            elif record.nodes[0].p_value is not None:
-                self.windows += 1
-
-    @property
-    def quality(self) -> list[dict[str, Any]]:
-        """What is wrong with the data, a kind each: its first finding, and how many realisations have one."""
-        return [
-            {"kind": kind.value, "message": found[0].message, "realisations": len({f.realisation for f in found})}
-            for kind, found in self.flaws.items()
-        ]
-
-    def tick(self, now: float) -> None:
-        pass
-
-    def close(self, end: RunEnd) -> None:
-        pass
-
-
 def _more(realisations: int) -> str:
     return f" (so in {realisations} realisations)" if realisations > 1 else ""
 
 
-def _too_few_windows(run: Run, newest: _Newest) -> Iterator[str]:
-    """Say so where no alarm could have stood however large the distortion."""
-    limits = run.limits
-    if 0 < newest.windows < limits.exceeding:
-        yield (
-            f"alarms need {limits.exceeding} of the last {limits.windows} windows above the limits; "
-            f"the recording has {newest.windows}"
-        )
-
-
 def _record(source: Source, output: Path, frames: int | None, label: str) -> None:
     """Drive a source into a recording that appears under its name only when it is whole."""
-    newest = _Newest()
+    newest = Newest()
     with whole_file(output) as unfinished:
         recorder = Recorder(unfinished)
         monitor, end = drive(source, [recorder, newest, ProgressBar(label, frames)])

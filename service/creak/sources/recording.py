@@ -178,6 +178,20 @@ class Recording:
         return _Damage(Fault(FaultKind.DAMAGED, self._time, line))
 
 
+def recordings(*paths: Path) -> list[Recording]:
+    """Open files of any number of runs: a recording for each run, its parts in their order.
+
+    Raises
+    ------
+    RecordingError
+        As `Recording`.
+    """
+    runs: dict[str, list[Path]] = {}
+    for path in _files(paths):
+        runs.setdefault(_open_part(path).run.id, []).append(path)
+    return [Recording(*parts) for parts in runs.values()] or [Recording()]
+
+
 class _Names:
     """Message names by channel id: those that creak gives, unless the file says otherwise."""
 
