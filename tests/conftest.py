@@ -1,10 +1,12 @@
-"""What several tests share: a small linear rig with white sensor noise, and recordings of it."""
+"""What several tests share: a small linear rig with white sensor noise, frames of it, and stores of every kind."""
 
 import numpy as np
 import pytest
 
 from creak.multisine import realisation
 from creak.records import Excitation, Frame, Limits, Node, Rig, Run
+from creak.sinks.database import open_store
+from store_places import PLACES, place
 
 
 def make_rig(n=3, q=None, lines=range(2, 14), samples=64, transient=1, network=None, name="law"):
@@ -82,3 +84,18 @@ def make_frames(run, realisations, seed=0, noise=1e-2, cubic=None):
                 frames.append(Frame(m, c, p, time, inputs[c].copy(), y))
                 count += 1
     return frames
+
+
+@pytest.fixture(params=PLACES)
+def url(request, tmp_path):
+    """URL of an empty database."""
+    with place(request.param, tmp_path) as found:
+        yield found
+
+
+@pytest.fixture
+def store(url):
+    """An empty store."""
+    made = open_store(url)
+    yield made
+    made.close()

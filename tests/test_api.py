@@ -16,6 +16,7 @@ from creak.api.problems import ProblemError
 from creak.codec import alarm_json, node_json, spectrum_json
 from creak.records import AlarmState, Counts, Node, RunEnd, RunStatus, Scope
 from creak.sinks.database import open_store
+from store_places import PLACES, place
 from store_records import (
     BEAM,
     SECOND,
@@ -29,12 +30,13 @@ from store_records import (
 )
 
 
-@pytest.fixture(scope="module")
-def store(tmp_path_factory):
-    opened_store = open_store(f"sqlite:///{tmp_path_factory.mktemp('api')}/creak.db")
-    fill_beam(opened_store)
-    yield opened_store
-    opened_store.close()
+@pytest.fixture(scope="module", params=PLACES)
+def store(request, tmp_path_factory):
+    with place(request.param, tmp_path_factory.mktemp("api")) as url:
+        opened_store = open_store(url)
+        fill_beam(opened_store)
+        yield opened_store
+        opened_store.close()
 
 
 @pytest.fixture(scope="module")

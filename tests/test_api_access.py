@@ -7,15 +7,7 @@ from api_desk import LOOPBACK, SEEN, Desk, left_alone
 from creak.api import create_app
 from creak.api.access import Access, Rates
 from creak.sinks import keys
-from creak.sinks.database import open_store
 from creak.sinks.keys import KeyScope
-
-
-@pytest.fixture
-def store(tmp_path):
-    made = open_store(f"sqlite:///{tmp_path}/creak.db")
-    yield made
-    made.close()
 
 
 @pytest.fixture

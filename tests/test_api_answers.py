@@ -12,14 +12,7 @@ from creak.errors import StorageError
 from creak.sinks import keys, tables
 from creak.sinks.database import open_store
 from creak.sinks.keys import KeyScope
-from store_places import PLACES, place
 from store_records import BEAM, fill_beam, make_alarm, opened
-
-
-@pytest.fixture(params=PLACES)
-def url(request, tmp_path):
-    with place(request.param, tmp_path) as found:
-        yield found
 
 
 @pytest.fixture

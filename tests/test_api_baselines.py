@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import pytest
-
 from api_client import V1, assert_problem, get, serving, walk
 from conftest import make_rig
 from conftest import make_run as make_real_run
@@ -13,7 +11,6 @@ from creak.codec import memory_bytes
 from creak.monitor import Monitor
 from creak.records import AlarmChange, Counts, RunEnd, RunStatus
 from creak.sinks import actions
-from creak.sinks.database import open_store
 from drifting import drifting_frames
 from store_records import opened
 
@@ -52,13 +49,6 @@ class Bench:
         with self.store.read() as connection:
             waiting = actions.waiting(connection, RIG, 0)
         return [(asked.told, self.monitor.act(asked.action)) for asked in waiting]
-
-
-@pytest.fixture
-def store(tmp_path):
-    made = open_store(f"sqlite:///{tmp_path}/creak.db")
-    yield made
-    made.close()
 
 
 def of_node(client, name):

@@ -18,6 +18,7 @@ from creak.api.page import site
 from creak.records import Counts, RunEnd, RunStatus
 from creak.sinks import jobs
 from creak.sinks.database import open_store
+from store_places import PLACES, place
 from store_records import (
     SECOND,
     START,
@@ -28,15 +29,20 @@ from store_records import (
 )
 
 
-@pytest.fixture(scope="module")
-def store(tmp_path_factory):
-    opened_store = open_store(f"sqlite:///{tmp_path_factory.mktemp('api')}/creak.db")
-    fill_beam(opened_store)
-    jobs.put(
-        opened_store, jobs.Task("diagnosis", ("beam.mcap",), "model.toml"), {"recording": "x"}, now=0, waiting=1
-    )
-    yield opened_store
-    opened_store.close()
+@pytest.fixture(scope="module", params=PLACES)
+def store(request, tmp_path_factory):
+    with place(request.param, tmp_path_factory.mktemp("api")) as url:
+        opened_store = open_store(url)
+        fill_beam(opened_store)
+        jobs.put(
+            opened_store,
+            jobs.Task("diagnosis", ("beam.mcap",), "model.toml"),
+            {"recording": "x"},
+            now=0,
+            waiting=1,
+        )
+        yield opened_store
+        opened_store.close()
 
 
 @pytest.fixture(scope="module")

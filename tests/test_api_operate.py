@@ -11,14 +11,6 @@ from api_client import V1, assert_problem, get, serving
 from api_desk import LOOPBACK, SEEN, Desk, left_alone, post, refusing
 from creak.api import create_app
 from creak.api.access import Access
-from creak.sinks.database import open_store
-
-
-@pytest.fixture
-def store(tmp_path):
-    made = open_store(f"sqlite:///{tmp_path}/creak.db")
-    yield made
-    made.close()
 
 
 @pytest.fixture

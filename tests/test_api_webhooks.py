@@ -9,17 +9,9 @@ from api_client import V1, assert_problem, get, serving, walk
 from api_desk import LOOPBACK, SEEN, Desk, left_alone, post, refusing
 from creak.api import create_app
 from creak.api.access import Access
-from creak.sinks.database import open_store
 from creak.webhooks.addresses import AddressPolicy
 from creak.webhooks.delivery import Deliverer
 from receiver import receiving
-
-
-@pytest.fixture
-def store(tmp_path):
-    made = open_store(f"sqlite:///{tmp_path}/creak.db")
-    yield made
-    made.close()
 
 
 @pytest.fixture

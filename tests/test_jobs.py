@@ -8,18 +8,10 @@ import pytest
 from creak import jobs as running
 from creak.jobs import JobRunner, arguments
 from creak.sinks import jobs
-from creak.sinks.database import open_store
 from creak.sinks.jobs import JobStatus, Task
 
 SECOND = 1_000_000_000
 REPLAY = Task("replay", ("a.mcap",))
-
-
-@pytest.fixture
-def store(tmp_path):
-    opened = open_store(f"sqlite:///{tmp_path}/creak.db")
-    yield opened
-    opened.close()
 
 
 def put(store, task=REPLAY, now=0):
@@ -131,6 +123,8 @@ def test_the_command_of_a_task(tmp_path):
 
 # --- the runner ------------------------------------------------------------------------------------------------
 
+ON_A_FILE = pytest.mark.parametrize("url", ["sqlite"], indirect=True)  # what it asks of the store is tested above
+
 
 def ended(store, identifier, seconds=60):
     end = time.monotonic() + seconds
@@ -167,6 +161,7 @@ def sleeping(monkeypatch, seconds=600):
     monkeypatch.setattr(running.subprocess, "Popen", popen)
 
 
+@ON_A_FILE
 def test_a_job_that_fails_says_why(store, runner):
     """Kills a runner that dies with a job, and a reason that nobody can read."""
     runner()
@@ -181,6 +176,7 @@ def test_a_job_that_fails_says_why(store, runner):
     assert ended(store, second)["reason"].startswith("/nowhere/b.mcap: ")
 
 
+@ON_A_FILE
 def test_a_running_job_is_cancelled_and_the_next_one_runs(store, runner, monkeypatch):
     sleeping(monkeypatch)
     runner()
@@ -191,12 +187,14 @@ def test_a_running_job_is_cancelled_and_the_next_one_runs(store, runner, monkeyp
     assert ended(store, first, 10)["status"] == "cancelled"
 
 
+@ON_A_FILE
 def test_a_job_that_takes_too_long_is_ended(store, runner, monkeypatch):
     sleeping(monkeypatch)
     runner(max_seconds=0.5)
     assert ended(store, put(store), 10)["reason"] == "it took longer than 0.5 s"
 
 
+@ON_A_FILE
 def test_a_service_that_ends_takes_its_jobs_along(store, runner, monkeypatch):
     """Kills a process that goes on after the service, and a job that is for ever running."""
     sleeping(monkeypatch)

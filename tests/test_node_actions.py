@@ -1,5 +1,6 @@
 """What operators do with nodes, whether these have ever alarmed or not."""
 
+import concurrent.futures
 import random
 import threading
 from dataclasses import replace
@@ -24,20 +25,11 @@ from creak.sinks.store import StoreSink
 from creak.sources.recording import Recording
 from creak.trend import Trend
 from creak.worker import Worker
-from store_places import PLACES, place
 from store_records import SECOND, START, feed, opened
 
 RUN = make_run(make_rig(2, samples=128, lines=range(2, 40), name="beam"), window=2, start=START)
 NODES = f"{V1}/rigs/beam/nodes"
 WHO = {"by": "ada", "comment": "bearing is changed"}
-
-
-@pytest.fixture(params=PLACES)
-def store(request, tmp_path):
-    with place(request.param, tmp_path) as url:
-        made = open_store(url)
-        yield made
-        made.close()
 
 
 def asked(kind, node="2", identifier=""):
@@ -155,6 +147,15 @@ def test_each_pair_of_actions_over_rest(store):
             assert post(client, f"1/{there}")["alarm"] == state
             assert post(client, f"1/{back}")["alarm"] == "normal"
         assert get(client, f"{V1}/alarms")["items"] == []
+
+
+def test_many_operators_at_once_leave_one_entry(store):
+    """Kills two entries of a node whose alarm has no row yet that could be locked."""
+    left(store)
+    with serving(create_app(store)) as client, concurrent.futures.ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda i: post(client, "2/retire", body={"by": f"op {i}"}), range(16)))
+        (entry,) = get(client, f"{V1}/alarms", state="out_of_service")["items"]
+        assert entry["version"] == 1
 
 
 def test_relearn_of_a_node_that_never_alarmed(store):

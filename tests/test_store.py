@@ -25,7 +25,6 @@ from creak.sinks import queries, tables
 from creak.sinks.database import open_store
 from creak.sinks.store import RecordingEntry, put_recording
 from creak.sinks.tally import Tally
-from store_places import PLACES, place
 from store_records import (
     GROUND,
     SECOND,
@@ -38,19 +37,6 @@ from store_records import (
     make_run,
     opened,
 )
-
-
-@pytest.fixture(params=PLACES)
-def url(request, tmp_path):
-    with place(request.param, tmp_path) as found:
-        yield found
-
-
-@pytest.fixture
-def store(url):
-    opened_store = open_store(url)
-    yield opened_store
-    opened_store.close()
 
 
 def count(store, table):

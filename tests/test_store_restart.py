@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import pytest
-
 from conftest import make_frames, make_rig
 from conftest import make_run as make_real_run
 from creak.alarm_records import Action, ActionKind, AlarmState
@@ -14,8 +12,7 @@ from creak.monitor import Monitor
 from creak.records import AlarmChange, Scope
 from creak.sinks import queries
 from creak.sinks.service_alarms import raise_alarm
-from creak.sinks.store import StoreSink, open_store
-from store_places import PLACES, place
+from creak.sinks.store import StoreSink
 from store_records import SECOND, START, feed, make_alarm, make_run, opened
 
 
@@ -23,14 +20,6 @@ def states(store):
     with store.read() as connection:
         row = queries.current_run(connection, "beam")
         return [node["alarm"] for node in queries.nodes(connection, row, Scope.WINDOW)]
-
-
-@pytest.fixture(params=PLACES)
-def store(request, tmp_path):
-    with place(request.param, tmp_path) as url:
-        made = open_store(url)
-        yield made
-        made.close()
 
 
 def test_an_alarm_that_stands_is_shown_after_a_restart_and_not_where_nothing_is_remembered(store):

@@ -12,28 +12,13 @@ from standardwebhooks import Webhook, WebhookVerificationError
 from creak.records import AlarmState
 from creak.sinks import outbox, queries, receivers
 from creak.sinks.alarm_rows import put_alarm
-from creak.sinks.database import open_store
 from creak.webhooks import trouble
 from creak.webhooks.delivery import DeliveryRules
 from creak.webhooks.schedule import SECOND
 from creak.webhooks.signature import new_secret, sign
 from receiver import receiving
-from store_places import PLACES, place
 from store_records import make_alarm, opened
 from webhook_desk import FAST, RUN, add, all_receivers, changes, delivering, log, statuses, wait_for
-
-
-@pytest.fixture(params=PLACES)
-def url(request, tmp_path):
-    with place(request.param, tmp_path) as found:
-        yield found
-
-
-@pytest.fixture
-def store(url):
-    made = open_store(url)
-    yield made
-    made.close()
 
 
 @pytest.fixture

@@ -11,22 +11,8 @@ from creak.sinks.operator_tables import deliveries
 from creak.sinks.operator_tables import outbox as messages
 from creak.webhooks.delivery import DeliveryRules
 from receiver import receiving
-from store_places import PLACES, place
 from store_records import make_alarm, opened
 from webhook_desk import FAST, RUN, add, changes, delivering, statuses, wait_for
-
-
-@pytest.fixture(params=PLACES)
-def url(request, tmp_path):
-    with place(request.param, tmp_path) as found:
-        yield found
-
-
-@pytest.fixture
-def store(url):
-    made = open_store(url)
-    yield made
-    made.close()
 
 
 @pytest.fixture

@@ -153,7 +153,7 @@ async def _act(
 
     def begin(orphan: bool = False) -> str | None:
         with store.write() as connection:
-            standing = queries.alarm_change(connection, identifier)
+            standing = queries.alarm_change(connection, identifier, to_change=True)
             if standing is None:
                 raise unknown_alarm(identifier)
             seen = None if if_match is None else version_of(if_match, standing)

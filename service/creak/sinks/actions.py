@@ -135,6 +135,7 @@ def carry_out_of_node(
         Why it was not done.
     """
     rig = run["rig"]
+    connection.execute(sa.select(tables.rigs).where(tables.rigs.c.name == rig).with_for_update())  # one at a time
     if action.kind is ActionKind.RELEARN and not _has_baseline(connection, rig, action.node):
         return _no_baseline(action.node)
     table = tables.alarms

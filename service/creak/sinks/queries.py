@@ -235,9 +235,13 @@ def alarm(connection: sa.Connection, identifier: str) -> Json | None:
     return {**alarm_json(change_of(row)), "changes": [json.loads(change) for change in changes]}
 
 
-def alarm_change(connection: sa.Connection, identifier: str) -> AlarmChange | None:
-    """Return the newest change of an alarm; None if there is no such alarm."""
-    row = connection.execute(sa.select(tables.alarms).where(tables.alarms.c.id == identifier)).mappings().first()
+def alarm_change(connection: sa.Connection, identifier: str, *, to_change: bool = False) -> AlarmChange | None:
+    """Return the newest change of an alarm; None if there is no such alarm.
+
+    With ``to_change`` nobody else changes it before the transaction ends.
+    """
+    query = sa.select(tables.alarms).where(tables.alarms.c.id == identifier)
+    row = connection.execute(query.with_for_update() if to_change else query).mappings().first()
     return None if row is None else change_of(row)
 
 
