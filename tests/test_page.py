@@ -1,8 +1,10 @@
 """The page in a browser where the demo does not go: odd names, keys, a service that goes away, other views."""
 
 from dataclasses import replace
+from math import log10
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 from api_client import serving
@@ -10,12 +12,24 @@ from browser import DEADLINE, chromium, visiting
 from conftest import make_rig
 from creak.api import create_app
 from creak.api.access import Access
+from creak.baseline import level_db
 from creak.records import Node
 from creak.sinks import keys
 from creak.sinks.database import open_store
 from creak.sinks.keys import KeyScope
 from creak.sinks.store import RecordingEntry, put_recording
-from store_records import SECOND, START, feed, fill_beam, make_alarm, make_fault, make_run, opened
+from store_records import (
+    BEAM,
+    SECOND,
+    START,
+    feed,
+    fill_beam,
+    make_alarm,
+    make_fault,
+    make_level,
+    make_run,
+    opened,
+)
 
 expect.set_options(timeout=DEADLINE)
 EVIL = "<img src=x onerror=alert(1)>"
@@ -151,3 +165,51 @@ def test_an_empty_service_says_what_to_do(browser, tmp_path):
         visiting(browser, address(client)) as visit,
     ):
         expect(visit.go().get_by_text("No rig has been heard of yet.")).to_be_visible()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_is_accessible(browser, store, scheme):
+    """Kills colours of too little contrast, controls without a name, roles that do not fit (axe-core's rules)."""
+    place = f"#/alarms/{make_alarm(BEAM).id.replace('/', '%2F')}"
+    with serving(create_app(store)) as client, visiting(browser, address(client), color_scheme=scheme) as visit:
+        for view in ("", "#/rigs/beam", "#/rigs/beam/nodes/3", "#/alarms", place, "#/recordings", "#/webhooks"):
+            page = visit.go(view)
+            expect(page.locator("h1, .card").first).to_be_visible()
+            expect(page.locator("#state")).to_have_text("live")
+            found = Axe().run(page).response["violations"]
+            assert [(view, each["id"], each["nodes"][0]["html"]) for each in found] == []
+
+
+def test_events_are_read_however_the_stream_is_cut(browser, store):
+    """Kills a line end, a letter or an event that is lost between two pieces."""
+    text = (
+        ': creak\r\nretry: 1000\n\nevent: alarm\ndata: {"a":\ndata:  1}\nid: 7\r\r\ndata: ö\n\nid: 8\n\ndata: cut'
+    )
+    wanted = [{"event": "alarm", "data": '{"a":\n 1}', "id": "7"}, {"data": "ö"}]
+    with serving(create_app(store)) as client, visiting(browser, address(client)) as visit:
+        page = visit.go()
+        cuts = """async ([source, text]) => {
+            const { Parser } = await import(source);
+            const read = (pieces, parser = new Parser()) => pieces.flatMap((piece) => [...parser.take(piece)]);
+            return [...text].map((_, i) => read([text.slice(0, i), text.slice(i)])).concat([read([...text])]);
+        }"""
+        script = page.locator("script[type=module]").get_attribute("src").replace("main.js", "stream.js")
+        for read in page.evaluate(cuts, [f"{address(client)}/{script}", text]):
+            assert [{key: value for key, value in event.items() if key != "retry"} for event in read] == wanted
+
+
+def test_a_baseline_is_drawn_where_the_nonlinear_level_was(browser, store):
+    """Kills a band on another scale than the level beside it: the started logarithm is undone."""
+    noise, nonlinear = -97.0, -94.0
+    total = 10 * log10(10 ** (noise / 10) + 10 ** (nonlinear / 10))
+    level = replace(make_level("3"), noise_db=noise, total_db=total)
+    mean = level_db(level, 10 ** (noise / 10))
+    learnt = {"complete": True, "mean_db": mean, "deviation_db": 0.0, "reference_noise_db": noise}
+    with serving(create_app(store)) as client, visiting(browser, address(client)) as visit:
+        page = visit.go()
+        script = page.locator("script[type=module]").get_attribute("src").replace("main.js", "levels.js")
+        drawn = page.evaluate(
+            "async ([source, learnt]) => (await import(source)).baselineLevels([learnt, { complete: false }])",
+            [f"{address(client)}/{script}", learnt],
+        )
+    assert [(band["y"], band["to"]) for band in drawn] == [(pytest.approx(nonlinear), pytest.approx(nonlinear))]

@@ -32,7 +32,7 @@ async function act(alarm, verb, { title, action, fields = [], body = () => ({}),
   const level = standing.level_db === null ? "" : `, ${standing.level_db.toFixed(1)} dB`;
   const done = await question({
     title: `${title}: ${alarm.rig}, node ${alarm.node}`,
-    text: `${standing.severity} since ${clock(standing.since)}${level}. ${standing.guidance}`,
+    text: `${standing.severity === "warning" ? "Warning" : "Alarm"} since ${clock(standing.since)}${level}. ${standing.guidance}`,
     fields: [who(), ...fields, comment],
     action,
     async send(values) {

@@ -49,17 +49,25 @@ function same(one, other) {
 }
 
 /**
- * A table. columns: { head, cell(row), number, hint }; mark(row): a class for the row; stacked: where there is
- * little room, cells stand below each other, as what can be done must not lie beyond the edge.
+ * A table. columns: { head, cell(row), number, hint, quiet }, quiet for a head that only screen readers need;
+ * mark(row): a class for the row; stacked: where there is little room, cells stand below each other, as what can be done must not lie beyond the edge.
  */
 export function table(columns, rows, { caption, empty = "none", mark = () => null, stacked = false } = {}) {
   if (!rows.length) return h("p", { class: "empty" }, empty);
   const kind = (column) => (column.number ? "number" : null);
   const head = columns.map((column) =>
-    h("th", { role: "columnheader", scope: "col", class: kind(column), title: column.hint }, column.head),
+    h(
+      "th",
+      { role: "columnheader", scope: "col", class: kind(column), title: column.hint },
+      column.quiet ? h("span", { class: "hidden" }, column.head) : column.head,
+    ),
   );
   const cell = (row) => (column) =>
-    h("td", { role: "cell", class: kind(column), "data-head": column.head }, column.cell(row));
+    h(
+      "td",
+      { role: "cell", class: kind(column), "data-head": column.quiet ? null : column.head },
+      column.cell(row),
+    );
   const body = rows.map((row) => h("tr", { role: "row", class: mark(row) }, columns.map(cell(row))));
   return h(
     "div",

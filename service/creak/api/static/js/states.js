@@ -93,7 +93,13 @@ const STATUSES = {
   unknown: ["diamond", "bang", "warning"],
 };
 
-/** The status of a run, a job or a recording. */
+/** The status of a job, with how far it has come. */
+export function jobBadge({ status, progress }) {
+  if (status !== "running") return statusBadge(status);
+  return statusBadge("busy", progress ? `running, ${Math.round(100 * progress)} %` : "running");
+}
+
+/** The status of a run, a recording, a verdict. */
 export function statusBadge(status, text = words(status)) {
   const [shape, mark, kind] = STATUSES[status] ?? ["circle", "none", "off"];
   return h("span", { class: `badge ${kind}` }, icon(shape, mark), h("span", {}, text));

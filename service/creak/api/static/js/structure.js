@@ -48,7 +48,7 @@ export function drawStructure({ rig, structure, nodes, elements }) {
   }`;
   return h(
     "div",
-    { class: "drawing", tabindex: "0", role: "region", "aria-label": "Structure" },
+    { class: "drawing", tabindex: "0", role: "region", "aria-label": `Structure of ${rig}` },
     svg(
       "svg",
       {

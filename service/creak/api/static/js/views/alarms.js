@@ -47,7 +47,7 @@ export function alarmTable(alarms, empty = "No alarm stands.") {
         cell: (alarm) =>
           `${alarm.class === "quality" ? "data: " : ""}${words(alarm.condition).replaceAll("+", ", ")}`,
       },
-      { head: "", cell: alarmButtons },
+      { head: "Actions", quiet: true, cell: alarmButtons },
     ],
     alarms,
     {
@@ -82,7 +82,7 @@ export function alarms(root) {
 }
 
 export async function alarm(root, { id }) {
-  const place = h("div");
+  const place = h("div", { class: "view" });
   root.append(place);
 
   async function read() {

@@ -131,9 +131,9 @@ function result(job) {
         [
           { head: "Node", cell: ({ name }) => name },
           { head: "Gap, dB of the response", cell: bar },
-          { head: "Before", cell: (node) => decibels(node.before_db), number: true },
-          { head: "After", cell: (node) => decibels(node.after_db), number: true },
-          { head: "Noise", cell: (node) => decibels(node.noise_db), number: true },
+          { head: "Before ●", cell: (node) => decibels(node.before_db), number: true },
+          { head: "After ◆", cell: (node) => decibels(node.after_db), number: true },
+          { head: "Noise ┊", cell: (node) => decibels(node.noise_db), number: true },
           { head: "Linear", cell: (node) => percent(node.linear_share), number: true, hint: "share of the gap" },
           {
             head: "Nonlinear",

@@ -129,7 +129,7 @@ function card(rig, picture) {
         `${rig.frames} frames`,
         rig.rejected_frames && `${rig.rejected_frames} rejected`,
         faults && count(faults, "fault"),
-        "figures: total over noise, networked",
+        "figures: total over noise",
       ]
         .filter(Boolean)
         .join(" · "),
@@ -137,10 +137,14 @@ function card(rig, picture) {
   );
 }
 
+/** Total over noise of a node, the classical one where nothing else can be had. */
+function ratio({ total_to_noise_db: networked, classical_total_to_noise_db: classical }) {
+  return networked === null ? `${decibels(classical, "dB")} classical` : decibels(networked, "dB");
+}
+
 function tile(rig, name, node) {
   const state = rig.alarms[name] ?? "normal";
   const known = node && (node.total_to_noise_db ?? node.classical_total_to_noise_db) !== null;
-  const ratio = node?.total_to_noise_db ?? null;
   const severity = alarmOf(rig.name, name)?.severity;
   return h(
     "li",
@@ -150,7 +154,7 @@ function tile(rig, name, node) {
       { class: `tile ${state}`, href: to("rigs", rig.name, "nodes", name), "data-key": `${rig.name} ${name}` },
       stateIcon(known || state !== "normal" ? state : "unknown", severity),
       h("span", { class: "name" }, h("span", { class: "hidden" }, "node "), name),
-      h("span", { class: "figure" }, known ? decibels(ratio, "dB") : "no levels yet"),
+      h("span", { class: "figure" }, known ? ratio(node) : "no levels yet"),
       state !== "normal" && h("span", { class: "word" }, stateWord(state)),
     ),
   );

@@ -2,10 +2,10 @@
 
 import { actionButton } from "../actions.js";
 import { facts, h, replace, table } from "../dom.js";
-import { clock, duration, words } from "../format.js";
+import { clock, duration } from "../format.js";
 import { get, path, post } from "../http.js";
 import { to } from "../router.js";
-import { statusBadge } from "../states.js";
+import { jobBadge } from "../states.js";
 import { nodeTable } from "./rig.js";
 
 const POLL_MS = 1000;
@@ -45,13 +45,7 @@ export function jobTable(jobs, empty, columns = []) {
       },
       {
         head: "State",
-        cell: (job) =>
-          statusBadge(
-            job.status,
-            job.status === "running" && job.progress
-              ? `running, ${Math.round(100 * job.progress)} %`
-              : words(job.status),
-          ),
+        cell: jobBadge,
       },
       ...columns,
     ],
@@ -62,7 +56,7 @@ export function jobTable(jobs, empty, columns = []) {
 
 /** Shows a job until it has ended, then its result; result(job) makes the elements. */
 export async function follow(root, id, { title, back, result }) {
-  const place = h("div");
+  const place = h("div", { class: "view" });
   root.append(place);
   let timer = null;
   let closed = false;
@@ -77,7 +71,7 @@ export async function follow(root, id, { title, back, result }) {
         "div",
         { class: "title" },
         h("h1", { tabindex: "-1", "data-key": "title" }, `${title}: ${job.request.rig}`),
-        statusBadge(job.status),
+        jobBadge(job),
       ),
       open(job) || job.reason || job.status === "cancelled" ? going(job) : null,
       job.result ? result(job) : null,
@@ -115,7 +109,12 @@ function going(job) {
       ["asked for", clock(job.created_at)],
       ["took", job.ended_at && duration((Date.parse(job.ended_at) - Date.parse(begun)) / 1000)],
     ]),
-    open(job) && actionButton("Cancel", () => post(`${path("jobs", job.id)}/cancel`)),
+    open(job) &&
+      h(
+        "div",
+        { class: "buttons" },
+        actionButton("Cancel", () => post(`${path("jobs", job.id)}/cancel`)),
+      ),
   );
 }
 

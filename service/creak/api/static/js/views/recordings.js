@@ -32,7 +32,8 @@ export async function recordings(root) {
           { head: "Size", cell: ({ size }) => bytes(size), number: true },
           { head: "File", cell: ({ path: file }) => h("span", { class: "file", title: file }, fileName(file)) },
           {
-            head: "",
+            head: "Actions",
+            quiet: true,
             cell: (recording) =>
               h(
                 "div",

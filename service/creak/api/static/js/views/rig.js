@@ -110,7 +110,11 @@ function elementText({ items, located, unavailable, remarks, time }) {
             { head: "Distortion acts between", cell: ({ between }) => place(between) },
             { head: "Share of its power", cell: ({ share }) => percent(share), number: true },
             { head: "Confidence", cell: ({ confidence }) => percent(confidence), number: true },
-            { head: "", cell: ({ separable }) => (separable ? "" : "not separable from its neighbours") },
+            {
+              head: "Remark",
+              quiet: true,
+              cell: ({ separable }) => (separable ? "" : "not separable from its neighbours"),
+            },
           ],
           items,
           { caption: "Elements that distort" },

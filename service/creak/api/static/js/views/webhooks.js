@@ -34,7 +34,8 @@ export async function webhooks(root) {
           { head: "Rigs", cell: ({ rigs }) => rigs.join(", ") || "all" },
           { head: "Waiting", cell: ({ waiting }) => waiting, number: true },
           {
-            head: "",
+            head: "Actions",
+            quiet: true,
             cell: (hook) =>
               h(
                 "div",
@@ -85,7 +86,8 @@ export async function webhooks(root) {
           { head: "Took", cell: ({ seconds }) => `${seconds.toFixed(2)} s`, number: true },
           { head: "Error", cell: ({ error }) => h("span", { class: "comment" }, error) },
           {
-            head: "",
+            head: "Actions",
+            quiet: true,
             cell: ({ message, attempt }) =>
               hook.enabled &&
               actionButton(
