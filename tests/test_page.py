@@ -18,6 +18,7 @@ from creak.sinks import keys
 from creak.sinks.database import open_store
 from creak.sinks.keys import KeyScope
 from creak.sinks.store import RecordingEntry, put_recording
+from receiver import receiving
 from store_records import (
     BEAM,
     SECOND,
@@ -30,6 +31,7 @@ from store_records import (
     make_run,
     opened,
 )
+from webhook_desk import add, delivering
 
 expect.set_options(timeout=DEADLINE)
 EVIL = "<img src=x onerror=alert(1)>"
@@ -165,6 +167,19 @@ def test_an_empty_service_says_what_to_do(browser, tmp_path):
         visiting(browser, address(client)) as visit,
     ):
         expect(visit.go().get_by_text("No rig has been heard of yet.")).to_be_visible()
+
+
+def test_deliveries_of_webhooks_are_seen(browser, store):
+    """A receiver that fails once: what was tried, and what came of it."""
+    with receiving(500) as receiver, delivering(store), serving(create_app(store)) as client:
+        add(store, receiver.url)
+        with visiting(browser, address(client)) as visit:
+            page = visit.go("#/webhooks")
+            page.get_by_role("button", name=f"Test: {receiver.url}").click()
+            expect(page.get_by_text("A test message is on its way.")).to_be_visible()
+            rows = page.get_by_role("region", name="Deliveries").locator("tbody tr")
+            expect(rows.filter(has_text="retried")).to_contain_text("500")
+            expect(rows.filter(has_text="delivered")).to_contain_text("204")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -176,6 +176,18 @@ def test_a_replay_is_a_job_with_the_numbers_of_the_command(served, place, monkey
     assert_problem(served.get(f"{location.replace('/jobs/', '/diagnoses/')}"), 404, "unknown-diagnosis")
 
 
+def test_the_page_replays_a_recording(served):
+    (recording,) = served.get("/recordings").json()["items"]
+    with chromium() as browser, visiting(browser, str(served.base_url).removesuffix("/api/v1/")) as visit:
+        page = visit.go("#/recordings")
+        page.get_by_role("button", name=f"Replay {recording['id']}").click()
+        expect(page.get_by_role("heading", name="Replay: small")).to_be_visible()
+        nodes = page.get_by_role("region", name="Levels of the nodes")
+        expect(nodes.locator("tbody tr")).to_have_count(2, timeout=1000 * DEADLINE)
+        level = served.get("/rigs/small/nodes/2", params={"scope": "run"}).json()["total_to_noise_db"]
+        expect(nodes.locator("tbody tr").nth(1)).to_contain_text(f"{level:.1f} dB")
+
+
 def test_the_service_answers_while_a_diagnosis_runs_and_can_end_it(served):
     """Kills a computation in the event loop: other requests would wait for it."""
     (recording,) = served.get("/recordings").json()["items"]

@@ -58,7 +58,7 @@ export function drawStructure({ rig, structure, nodes, elements }) {
         class: "structure",
         "data-wide": width > 900,
       },
-      along && beam(at, width, along),
+      along ? beam(width, along) : structure.dense && body(width),
       floor(width),
       drawn.map(([key, pair]) => edge(pair, at, order, shares.get(key), along)),
       structure.nodes.map((node) => nodeMark(rig, node, at.get(node.name), levels.get(node.name))),
@@ -68,10 +68,18 @@ export function drawStructure({ rig, structure, nodes, elements }) {
 
 const pairKey = (pair) => JSON.stringify([...pair].sort());
 
-function beam(at, width, length) {
+function beam(width, length) {
   return [
     svg("rect", { x: EDGE - 14, y: BASE - 5, width: width - 2 * EDGE + 28, height: 10, rx: 3, class: "beam" }),
     svg("text", { x: width - 12, y: FLOOR + 26, class: "note end" }, `beam of ${length} m`),
+  ];
+}
+
+/** What joins the nodes where that is not known: anything. */
+function body(width) {
+  return [
+    svg("path", { d: `M${EDGE} ${BASE}H${width - EDGE}`, class: "body" }),
+    svg("text", { x: width - 12, y: FLOOR + 26, class: "note end" }, "any node may act on any other"),
   ];
 }
 
