@@ -118,11 +118,15 @@ def analyse(config: Annotated[Path, typer.Argument(help="Service file (creak.tom
 
 
 @contextmanager
-def background_analysis(stream: StreamTable, store: Store, plans: Sequence[Plan]) -> Iterator[None]:
+def background_analysis(
+    stream: StreamTable, store: Store, plans: Sequence[Plan], supervisor: Supervisor
+) -> Iterator[None]:
     """Analyse rigs beside the caller, for as long as the context lasts."""
     broker = _broker(stream)
     analyser = _analyser(stream, store, broker, plans)
-    thread = threading.Thread(target=analyser.run, name="analyser", daemon=True)
+    supervisor.begin("analyser")
+    watched = (lambda now: supervisor.tick("analyser", now),)
+    thread = threading.Thread(target=analyser.run, args=watched, name="analyser", daemon=True)
     thread.start()
     try:
         yield

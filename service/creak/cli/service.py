@@ -222,7 +222,9 @@ def _run(
     api = ApiProcess(ApiSettings(settings.store_url, names, access, models, settings.data), listener)
     jobs = settings.jobs
     runner = JobRunner(store, settings.data / "jobs", at_once=jobs.at_once, max_seconds=jobs.max_seconds)
-    analysis = background_analysis(settings.stream, store, plans) if plans else contextlib.nullcontext()
+    analysis = (
+        background_analysis(settings.stream, store, plans, supervisor) if plans else contextlib.nullcontext()
+    )
     try:
         deliverer.start()
         upkeep.start()

@@ -39,8 +39,10 @@ class Supervisor:
         self._fed = float("-inf")
 
     def ready(self) -> None:
-        """Tell that the service has started."""
-        self._tell("READY=1")
+        """Tell that the service has started; one that has nothing to measure, but to answer, has no watchdog."""
+        with self._lock:
+            idle = not self._ticked and not self._failed
+        self._tell("READY=1\nWATCHDOG_USEC=0" if idle and self._patience else "READY=1")
 
     def stopping(self) -> None:
         """Tell that the service is about to end."""
