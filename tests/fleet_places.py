@@ -87,15 +87,18 @@ def free_port():
 class BrokerProcess:
     """A nats-server with JetStream and a store of its own, on a port that it keeps over restarts."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, largest=1 << 20):
         self._folder = Path(folder)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        (self._folder / "nats.conf").write_text(f"max_payload: {largest}\n")
         self._port = free_port()
         self.url = f"nats://127.0.0.1:{self._port}"
         self.process = None
         self.start()
 
     def start(self):
-        arguments = [SERVER, "-a", "127.0.0.1", "-p", str(self._port), "-js", "-sd", str(self._folder)]
+        place = ["-a", "127.0.0.1", "-p", str(self._port), "-js", "-sd", str(self._folder)]
+        arguments = [SERVER, *place, "-c", str(self._folder / "nats.conf")]
         self.process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         end = time.monotonic() + 20
         while time.monotonic() < end:
@@ -114,13 +117,13 @@ class BrokerProcess:
 
 
 @contextlib.contextmanager
-def broker(folder):
+def broker(folder, largest=1 << 20):
     """A broker for a test, which is skipped where there is no server."""
     if not Path(SERVER).exists():
         if os.environ.get("CI") == "true":
             raise FileNotFoundError(SERVER)
         pytest.skip("no nats-server to test with")
-    made = BrokerProcess(folder)
+    made = BrokerProcess(folder, largest)
     try:
         yield made
     finally:

@@ -72,17 +72,18 @@ def closing_place(begun: int) -> Place:
     return begun, CLOSING
 
 
-def letter_parts(letter: Letter, largest: int) -> Iterator[tuple[dict[str, str], bytes]]:
+def letter_parts(letter: Letter, largest: int, again: str = "") -> Iterator[tuple[dict[str, str], bytes]]:
     """Yield the messages of a letter, headers and payload of at most `largest` bytes each.
 
-    The same letter makes the same messages, whoever makes them and when.
+    The same letter makes the same messages, whoever makes them and when, so the broker keeps them once; unless
+    they are wanted `again`, for then it may only seem to have them.
     """
     data = _payload(letter)
     count = max(1, -(-len(data) // largest))
     begun, index = letter.place
     for part in range(count):
         headers = {
-            MESSAGE_ID: f"{letter.run.rig.name.encode().hex()}/{begun}/{index}/{part}",
+            MESSAGE_ID: f"{letter.run.rig.name.encode().hex()}/{begun}/{index}/{part}{again}",
             _PLACE: f"{begun} {index}",
             _PREVIOUS: "" if letter.previous is None else f"{letter.previous[0]} {letter.previous[1]}",
             _PART: f"{part} {count}",

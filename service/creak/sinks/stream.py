@@ -30,6 +30,7 @@ _HEADERS_BYTES = 4096  # room for them in a message
 _NEWS_SECONDS = 2.0
 _RETRY_SECONDS = 1.0
 _CLOSE_SECONDS = 2.0
+_ASKED_SECONDS = 30.0  # the same is not told again sooner: it may be on its way
 _STOPPING = {FaultKind.SILENT, FaultKind.BUS_OFF, FaultKind.DISCONNECTED}
 _NOTHING: Place = (-1, OPENING)
 
@@ -76,7 +77,9 @@ class StreamSink:
         self._live = live
         self._news = threading.Condition()  # guards all below
         self._waiting: deque[Letter] = deque(maxlen=_WAITING)
-        self._sent = _NOTHING
+        self._sent = self._highest = _NOTHING  # `sent` goes back when something is wanted again
+        self._asked: tuple[Place, float] = (_NOTHING, float("-inf"))
+        self._again = ""
         self._behind = True  # something before the letters in memory may have to be told
         self._heard: int | None = None
         self._stopped = False
@@ -98,7 +101,7 @@ class StreamSink:
         self._journal = Journal(self._folder / f"{recording_name(run.rig.name, run.rig.name)}.sent.json")
         earlier = self._journal.runs[-1] if self._journal.runs else None
         self._before = None if earlier is None else closing_place(earlier.begun)
-        self._sent = self._journal.sent or _NOTHING
+        self._sent = self._highest = self._journal.sent or _NOTHING
         self._begun = self._journal.begin(recording_name(run.rig.name, run.id))
         self._put(Digest(OPENING, OPENING, run.start))
         self._thread = threading.Thread(target=self._publish, name=f"stream {run.rig.name}", daemon=True)
@@ -127,6 +130,7 @@ class StreamSink:
             self._news.notify()
         if self._thread is not None:
             self._thread.join(_CLOSE_SECONDS)
+        self._broker.ignore(subject(self._stream, "wanted", self._run.rig.name))
 
     @property
     def sent(self) -> Place:
@@ -204,11 +208,12 @@ class StreamSink:
         rig = letter.run.rig.name
         sequences = [
             self._broker.publish(subject(self._stream, "digests", rig), data, headers)
-            for headers, data in letter_parts(letter, room)
+            for headers, data in letter_parts(letter, room, self._again if letter.place <= self._highest else "")
         ]
         with self._news:
             if self._sent == at:  # else somebody has asked for earlier ones meanwhile
                 self._sent = letter.place
+                self._highest = max(self._highest, letter.place)
                 self._journal.note(letter.place)
         self._tell_news(letter.place, sequences[0])
 
@@ -235,8 +240,11 @@ class StreamSink:
             after = int(begun), int(index)
         except (ValueError, KeyError, TypeError):
             return
+        now = time.monotonic()
         with self._news:
-            if after < self._sent:
+            place, asked = self._asked
+            if after < self._sent and (place != after or now - asked >= _ASKED_SECONDS):
+                self._asked, self._again = (after, now), f"/{time.time_ns()}"
                 _log.info("%s: told again from %s on, as asked for", self._run.rig.name, after)
                 self._sent, self._behind = after, True
                 self._news.notify()

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from creak.digests import CLOSING, OPENING, Digest, Gatherer
-from creak.records import Counts, Run, RunEnd, RunStatus
+from creak.records import Counts, Fault, FaultKind, Run, RunEnd, RunStatus
 from creak.sources.recording import Recording
 
 BEFORE_ALL = OPENING - 1
@@ -38,6 +38,8 @@ def retold(
         yield run, Digest(OPENING, OPENING, run.start), None
     gatherer = Gatherer(run, whole_frames=whole_frames, after=max(after, OPENING))
     for item in recording.frames():
+        if not ended and isinstance(item, Fault) and item.kind is FaultKind.DAMAGED:
+            return  # a chunk that is being written at this moment: behind it the file may have grown meanwhile
         for outcome in gatherer.take(item):
             if isinstance(outcome, Digest):
                 yield run, outcome, None
