@@ -10,12 +10,13 @@ from creak.errors import StorageError
 from creak.records import Estimate, Frame, Run, RunEnd, Scope
 from creak.sinks.database import Store
 from creak.sinks.recorder import Recorder
-from creak.sinks.service_alarms import raise_alarm
+from creak.sinks.service_alarms import clear_standing, raise_alarm
 from creak.sinks.store import RecordingEntry, put_recording
 
 _log = logging.getLogger(__name__)
 
-_GUIDANCE = "Monitoring goes on, but nothing is recorded. Make room and start the service anew."
+_GUIDANCE = "Monitoring goes on, but nothing is recorded. Make room; the recording then goes on in a new part."
+_CONDITION = "storage"
 
 
 class CataloguedRecorder:
@@ -46,6 +47,7 @@ class CataloguedRecorder:
         self._run, self._time = run, run.start
         self._recorder.open(run)
         self._list("writing")
+        self._tell_end()  # of what an earlier run of the rig suffered from
 
     def take(self, record: Outcome) -> None:
         """Record; a part that was begun by it, and one that grew by a realisation, are listed anew."""
@@ -57,6 +59,9 @@ class CataloguedRecorder:
         except StorageError as error:
             self._tell(error)
             raise
+        if self._told:
+            self._told = False
+            self._tell_end()
         if len(self._recorder.paths) > parts or (isinstance(record, Estimate) and record.scope is Scope.RUN):
             self._list("writing", self._later)
 
@@ -81,12 +86,26 @@ class CataloguedRecorder:
 
         def write() -> None:
             with self._store.write() as connection:
-                raise_alarm(connection, rig, "", "storage", now, reason=reason, guidance=_GUIDANCE)
+                raise_alarm(connection, rig, "", _CONDITION, now, reason=reason, guidance=_GUIDANCE)
 
+        self._do(write)
+
+    def _tell_end(self) -> None:
+        """Clear that alarm: there is a recording again."""
+        assert self._run is not None
+        rig, now = self._run.rig.name, self._time
+
+        def write() -> None:
+            with self._store.write() as connection:
+                clear_standing(connection, rig, "", _CONDITION, now)
+
+        self._do(write)
+
+    def _do(self, job: Callable[[], None]) -> None:
         try:
-            self._later(write)
-        except StorageError as trouble:
-            _log.warning("%s: no alarm could be raised about it: %s", error, trouble)
+            self._later(job)
+        except StorageError as error:
+            _log.warning("the alarm about a recording could not be written: %s", error)
 
     def _list(self, status: str, do: Callable[[Callable[[], None]], None] = lambda job: job()) -> None:
         assert self._run is not None
@@ -94,7 +113,7 @@ class CataloguedRecorder:
         for number, path in enumerate(paths):
             last = number == len(paths) - 1
             start = self._began.setdefault(path, self._time)
-            open_end = last and status == "writing"
+            open_end = last and status == "writing" and path not in self._recorder.cut
             following = self._began.get(paths[number + 1], self._time) if not last else self._time
             entry = RecordingEntry(
                 id=path.stem,
@@ -103,7 +122,7 @@ class CataloguedRecorder:
                 path=str(path),
                 start=start,
                 end=None if open_end else following,
-                status=status if last else "complete",
+                status="truncated" if path in self._recorder.cut else status if last else "complete",
                 size=path.stat().st_size,
             )
             do(partial(put_recording, self._store, entry))

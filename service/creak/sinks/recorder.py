@@ -28,6 +28,7 @@ from creak.records import (
     RunStatus,
     Scope,
 )
+from creak.sinks.wholewrites import WholeWrites
 
 _CHUNK_BYTES = 1 << 20
 
@@ -37,6 +38,7 @@ _CHUNK_BYTES = 1 << 20
 _COMPRESSION = CompressionType.NONE
 
 # All but that of attachments: there are none, and an index of nothing is an error by the specification.
+_LONGEST_RESUME_SECONDS = 600.0
 _INDEXES = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
 
 
@@ -60,18 +62,23 @@ class Recorder:
         however fast it is simulated or replayed.
     flush_seconds : float
         Longest time that a record stays in memory.
+    resume_seconds : float
+        How long after a failure the recording is tried again at first; each further time takes twice as long.
 
     Attributes
     ----------
     paths : list of Path
         Files written so far, in order.
+    cut : set of Path
+        Those of them that a failure ended.
     failure : StorageError or None
         Why recording stopped before its end.
 
     Notes
     -----
     Every method that writes raises StorageError once the disk is full or fails. The file then ends with its last
-    whole record and can be read; recording is over and every further record is refused with the same error.
+    whole record and can be read, and every further record is refused with the same error. Where parts have numbers
+    the recording goes on in a new one, at the first realisation for which there is room again.
     """
 
     def __init__(
@@ -81,8 +88,10 @@ class Recorder:
         max_bytes: int | None = None,
         max_seconds: float | None = None,
         flush_seconds: float = 1.0,
+        resume_seconds: float = 10.0,
     ) -> None:
         self.paths: list[Path] = []
+        self.cut: set[Path] = set()
         self.failure: StorageError | None = None
         self._target = target
         self._max_bytes = max_bytes
@@ -92,6 +101,11 @@ class Recorder:
         self._part: _Part | None = None
         self._newest = -1  # realisation, of the frames that counted
         self._flushed_at = float("-inf")
+        self._now = 0.0  # of the last tick
+        self._number = 1
+        self._failures = 0
+        self._resume_seconds = resume_seconds
+        self._resume_at = float("inf")
 
     @property
     def path(self) -> Path | None:
@@ -112,7 +126,9 @@ class Recorder:
             return
         realisation = _begun_by(record)
         if realisation > self._newest:
-            if self._newest >= 0 and self._is_full(record.time):
+            if self.failure is not None:
+                self._resume()
+            elif self._newest >= 0 and self._is_full(record.time):
                 self._rotate()
             self._newest = realisation
         part = self._writable()
@@ -126,7 +142,7 @@ class Recorder:
 
     def tick(self, now: float) -> None:
         """Flush what has waited for half of the time that it may, so that the rest is left to the next tick."""
-        part = self._part
+        part, self._now = self._part, now
         if part is not None and part.pending and now - self._flushed_at >= self._flush_seconds / 2:
             with self._storing():
                 part.flush()
@@ -153,15 +169,36 @@ class Recorder:
         part = self._writable()
         end = RunEnd(part.end, RunStatus.COMPLETED, part.counts(), "the run goes on in the next part")
         self._finish(part, codec.Closing(end, continues=True))
-        self._begin(part.opening.run, part.opening.part + 1)
+        self._number += 1
+        self._begin(part.opening.run, self._number)
+        self._failures = 0  # a whole part: the disk is in order
+
+    def _resume(self) -> None:
+        """Begin a new part after a failure, if it is time; one that cannot be written leaves nothing behind."""
+        if self._run is None or not self._numbered or self._now < self._resume_at:
+            return
+        written, self.failure = len(self.paths), None
+        try:
+            self._begin(self._run, self._number + 1)
+        except StorageError:
+            for path in self.paths[written:]:
+                path.unlink(missing_ok=True)
+                self.cut.discard(path)
+            del self.paths[written:]
+            raise
+        self._number += 1
+
+    @property
+    def _numbered(self) -> bool:
+        return self._max_bytes is not None or self._max_seconds is not None
 
     def _begin(self, run: Run, number: int) -> None:
         named = self._target.is_dir()
         path = self._target / f"{recording_name(run.rig.name, run.id)}.mcap" if named else self._target
-        if self._max_bytes is not None or self._max_seconds is not None:
+        if self._numbered:
             path = path.with_name(f"{path.stem}-{number:04d}{path.suffix}")
         with self._storing(path):
-            file = _WholeWrites(path, os.O_EXCL if named else os.O_TRUNC)
+            file = WholeWrites(path, os.O_EXCL if named else os.O_TRUNC)
             self.paths.append(path)
             self._part = _Part(file, codec.Opening(run, number))
             self._part.open()
@@ -180,15 +217,19 @@ class Recorder:
             if self._part is not None:
                 self._part.abandon()
                 self._part = None
+            if self.path is not None:
+                self.cut.add(self.path)
             happened = "cannot be written" if opened else "recording stopped; what is in it until then can be read"
             self.failure = StorageError(f"{opened or self.path}: {happened}: {error.strerror}")
+            self._resume_at = self._now + min(self._resume_seconds * 2**self._failures, _LONGEST_RESUME_SECONDS)
+            self._failures += 1
             raise self.failure from error
 
 
 class _Part:
     """One file of a recording."""
 
-    def __init__(self, file: "_WholeWrites", opening: codec.Opening) -> None:
+    def __init__(self, file: "WholeWrites", opening: codec.Opening) -> None:
         self.opening = opening
         self.pending = False
         self.begin = self.end = opening.run.start
@@ -321,53 +362,6 @@ class _Part:
             "rms": "" if excitation.rms is None else repr(excitation.rms),
             "seed": "" if excitation.seed is None else str(excitation.seed),
         } | codec.opening_text(self.opening)
-
-
-class _WholeWrites:
-    """A file in which a write happens wholly or not at all, and nothing waits in a buffer.
-
-    The MCAP writer hands over whole records, so the file ends with a whole record even on a full disk, and a later
-    close has nothing left to fail on.
-    """
-
-    def __init__(self, path: Path, flag: int) -> None:
-        self._path = path
-        self._at = 0
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | flag, 0o644)
-
-    def write(self, data: bytes) -> int:
-        rest = memoryview(data)
-        try:
-            while rest:
-                rest = rest[os.write(self._descriptor, rest) :]
-        except OSError:
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._descriptor, self._at)
-            raise
-        self._at += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        return self._at
-
-    def flush(self) -> None:
-        """Do nothing: what was written is with the operating system already."""
-
-    def sync(self) -> None:
-        os.fsync(self._descriptor)
-
-    def sync_name(self) -> None:
-        """Have the disk hold the file's entry in its directory."""
-        directory = os.open(self._path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            os.fsync(directory)
-        finally:
-            os.close(directory)
-
-    def close(self) -> None:
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
 
 
 _TOPIC: dict[type, str] = {Frame: "/frames", Fault: "/faults", Estimate: "/estimates", AlarmChange: "/alarms"}

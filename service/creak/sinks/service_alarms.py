@@ -49,6 +49,17 @@ def raise_alarm(
     return identifier
 
 
+def clear_standing(connection: sa.Connection, rig: str, node: str, condition: str, now: int) -> None:
+    """Tell that a condition is over, whichever of the service's alarms tell of it."""
+    alarms = tables.alarms
+    query = sa.select(alarms).where(
+        alarms.c.rig == rig, alarms.c.node == node, alarms.c.run == _RUN, alarms.c.active
+    )
+    for row in connection.execute(query).mappings().all():
+        if (standing := change_of(row)).condition == condition:
+            clear_alarm(connection, standing.id, max(now, standing.time))
+
+
 def clear_alarm(connection: sa.Connection, identifier: str, now: int) -> None:
     """Tell that what an alarm is about is over."""
     alarms = tables.alarms
