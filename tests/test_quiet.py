@@ -45,6 +45,15 @@ def test_one_period_on_a_full_grid_tells_no_noise():
         quiet_variance(full, np.ones((2, 513, 1), complex))
 
 
+def test_what_is_not_periodic_is_refused_with_what_does_not_repeat():
+    """Kills an answer on noise excitation, where all that is measured would pass for noise."""
+    rng = np.random.default_rng(4)
+    run = Run("one", ODD, 2, 0, Excitation("measured"), "import")
+    frames = [Frame(0, 0, p, 0, *rng.standard_normal((2, 1, ODD.period_samples))) for p in range(2)]
+    with pytest.raises(MeasurementError, match="realisation 0, experiment 0 do not repeat every 1024 samples"):
+        gather(run, frames)
+
+
 def test_a_structure_must_not_vanish():
     """Kills actuators and sensors that pass nothing beside a structure of nothing, which explain every motion."""
     mass, spring = (Mass, ("1", GROUND)), (Stiffness, ("1", GROUND))

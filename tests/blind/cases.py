@@ -57,13 +57,36 @@ def draw(seed, index):
     raise RuntimeError(f"no periodic motion found for case {index} of set {seed}")
 
 
-def _attempt(rng, kind, off):
+def draw_of(seed, index, chosen, off=False):
+    """Draw a case with one of some effects, in turn.
+
+    Parameters
+    ----------
+    seed, index : int
+    chosen : sequence of str
+    off : bool
+        All masses, stiffnesses and dampings are off as well.
+
+    Returns
+    -------
+    Case
+    """
+    rng = np.random.default_rng((seed, index))
+    for _ in range(20):
+        try:
+            return _attempt(rng, "vocabulary", off, chosen[index % len(chosen)])
+        except NotPeriodicError:
+            continue
+    raise RuntimeError(f"no periodic motion found for case {index} of set {seed}")
+
+
+def _attempt(rng, kind, off, chosen=None):
     spec = structures.draw_beam(rng) if rng.random() < 0.15 else structures.draw_lumped(rng)
     structure = structures.assemble(spec)
     effect = {
         "none": None,
         "outside": str(rng.choice(OUTSIDE)),
-        "vocabulary": str(rng.choice(effects.VOCABULARY)),
+        "vocabulary": chosen or str(rng.choice(effects.VOCABULARY)),
     }[kind]
     off = off and effect is not None and effect not in effects.HARMLESS_BESIDE_ERRORS
     beam = spec["kind"] == "beam"

@@ -31,6 +31,9 @@ def model(
     output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.toml).")],
     first_realisation: Annotated[int | None, typer.Option(help="First realisation that counts, from 0.")] = None,
     last_realisation: Annotated[int | None, typer.Option(help="Last realisation that counts.")] = None,
+    linear: Annotated[
+        bool, typer.Option("--linear", help="Count the recording's own distortion as a gap too: find its cause.")
+    ] = False,
 ) -> None:
     """Take a healthy recording as the model, so that `diagnose` says what has changed since.
 
@@ -44,7 +47,7 @@ def model(
     chosen = None
     if first_realisation is not None or last_realisation is not None:
         chosen = int(data.realisation.min()), int(data.realisation.max())
-    believed = MeasuredResponse(_beside(recording, output.parent), realisations=chosen)
+    believed = MeasuredResponse(_beside(recording, output.parent), realisations=chosen, linear=linear)
     with whole_file(output, "--output") as file:
         file.write_text(model_toml(believed), encoding="utf-8")
     for line in read.damage:

@@ -75,6 +75,7 @@ class _BeamTable(_Strict):
 class _MeasuredTable(_Strict):
     recording: str
     realisations: tuple[Whole, Whole] | None = None
+    linear: Flag = False
 
 
 def load_model(path: Path) -> Model:
@@ -165,7 +166,7 @@ def _beam(tables: Mapping[str, Any], effects: tuple[Effect, ...], _source: str) 
 
 def _measured(tables: Mapping[str, Any], effects: tuple[Effect, ...], _source: str) -> Model:
     table = _MeasuredTable.model_validate(tables)
-    return MeasuredResponse(table.recording, effects, table.realisations)
+    return MeasuredResponse(table.recording, effects, table.realisations, table.linear)
 
 
 _KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], tuple[Effect, ...], str], Model]]] = {

@@ -49,6 +49,8 @@ def model_toml(model: Model) -> str:
             rows = ['kind = "frf"', f"recording = {_value(model.recording)}"]
             if model.realisations is not None:
                 rows.append(f"realisations = {_value(model.realisations)}")
+            if model.linear:
+                rows.append("linear = true")
     for effect in model.effects:
         rows += _table("effects", _effect(effect))
     return "\n".join(rows) + "\n"

@@ -54,6 +54,7 @@ class PeriodicData:
 
 
 _FEWEST_DEGREES = 24  # below this the noise of neighbouring lines is pooled: a few periods give no weight
+_REPEATS = 0.01  # power by which an input may differ from period to period, relative to its own
 _FLOOR = 1e-10  # least noise power relative to the response: rounding, where a recording has no noise at all
 
 
@@ -73,7 +74,8 @@ def gather(run: Run, items: Iterable[Frame | Fault]) -> PeriodicData:
     Raises
     ------
     MeasurementError
-        If no realisation is complete, or an experiment has one steady period only and all lines are excited.
+        If no realisation is complete, or an experiment has one steady period only and all lines are excited; if
+        an input does not repeat from period to period.
     """
     rig = run.rig
     collector = Collector(run)
@@ -99,7 +101,7 @@ def gather(run: Run, items: Iterable[Frame | Fault]) -> PeriodicData:
             for frame in whole:
                 scatter += np.abs(scipy.fft.rfft(frame.y - mean, axis=-1).T / rig.period_samples) ** 2
             indices.append(index)
-            u.append(np.mean([frame.u for frame in whole], axis=0))
+            u.append(_repeated(rig, np.array([frame.u for frame in whole]), index, c))
             y.append(mean)
         pending = {key: kept for key, kept in pending.items() if key[0] > index}
     if not indices:
@@ -108,6 +110,23 @@ def gather(run: Run, items: Iterable[Frame | Fault]) -> PeriodicData:
         return _of_one_period(rig, np.array(indices), np.array(u), np.array(y))
     degrees = len(indices) * (run.steady_periods - 1)
     return _data(np.array(indices), np.array(u), np.array(y), scatter, degrees, run.steady_periods)
+
+
+def _repeated(rig: Rig, periods: Real, realisation: int, experiment: int) -> Real:
+    """Mean of the input's periods ``(P, q, N)``, if they are periods.
+
+    Derivatives, steady simulation and the noise itself rest on the period, so that no answer would be one.
+    """
+    mean = np.asarray(periods.mean(axis=0))
+    power, differing = np.mean(mean**2), np.mean((periods - mean) ** 2) * len(periods) / max(len(periods) - 1, 1)
+    share = 100 * np.sqrt(differing / max(power, np.finfo(float).tiny))
+    if differing > _REPEATS * power:
+        raise MeasurementError(
+            f"the inputs of realisation {realisation}, experiment {experiment} do not repeat every "
+            f"{rig.period_samples} samples (period_samples): they differ by {share:.0f} % "
+            "from period to period, and only periodic measurements can be diagnosed"
+        )
+    return mean
 
 
 def _of_one_period(

@@ -9,10 +9,11 @@ from creak.gap.periodic import PeriodicData
 from creak.mechanics.response import Response
 from creak.mechanics.structure import MeasuredResponse
 from creak.mechanics.system import Model
-from creak.records import Real, Rig
+from creak.records import Complex, Real, Rig
 
 _BETWEEN = 0.03  # share of the response by which an interpolated line may be wrong
 _BEYOND = 0.3  # and one beyond the measured band
+_LOCAL = 11  # neighbouring lines whose responses make one where a single realisation tells no error
 _POOLED = 9  # neighbouring lines over which the distortion of the structure itself is taken
 
 
@@ -51,6 +52,9 @@ def measure(rig: Rig, data: PeriodicData) -> Response:
     if count > q:
         rest = Y - U @ S.transpose(0, 2, 1)
         variance[lines] = np.sum(np.abs(rest) ** 2, axis=1) / (count - q)
+    elif len(lines) > _LOCAL and np.all(np.diff(lines) == 1):
+        S, variance[lines], share = _local(U, Y)
+        leverage = leverage * share
     else:
         variance[lines] = data.variance[lines]
     distortion = np.zeros_like(variance)
@@ -59,6 +63,40 @@ def measure(rig: Rig, data: PeriodicData) -> Response:
     for at in (excited, ~excited):
         distortion[at] = np.maximum(_smooth(variance[at] - data.variance[at]), 0.0)
     return Response(rig, S, data.variance + distortion, distortion, leverage)
+
+
+def _local(U: Complex, Y: Complex) -> tuple[Complex, Real, float]:
+    """Response of a single realisation: a parabola through neighbouring lines, so that something tells its error.
+
+    Parameters
+    ----------
+    U : array, (F, E, q)
+    Y : array, (F, E, n)
+
+    Returns
+    -------
+    array, (F, n, q)
+    array, (F, n)
+        Variance about it.
+    float
+        Share of the variance of a single line's response that is left.
+    """
+    F, E, q = U.shape
+    half = _LOCAL // 2
+    S = np.empty((F, Y.shape[2], q), dtype=np.complex128)
+    variance = np.empty((F, Y.shape[2]))
+    for k in range(F):
+        at = np.arange(_LOCAL) + min(max(k - half, 0), F - _LOCAL)
+        t = (at - k) / half
+        powers = np.stack([np.ones_like(t), t, t**2], axis=-1)
+        terms = (powers[:, None, :, None] * U[at][:, :, None, :]).reshape(_LOCAL * E, 3 * q)
+        wanted = Y[at].reshape(_LOCAL * E, -1)
+        fitted = np.linalg.lstsq(terms, wanted, rcond=None)[0]
+        S[k] = fitted[:q].T
+        variance[k] = np.sum(np.abs(wanted - terms @ fitted) ** 2, axis=0) / (len(terms) - 3 * q)
+    t = np.linspace(-1, 1, _LOCAL)
+    powers = np.stack([np.ones_like(t), t, t**2], axis=-1)
+    return S, variance, float(np.linalg.inv(powers.T @ powers)[0, 0])
 
 
 def _smooth(values: Real) -> Real:
@@ -92,10 +130,11 @@ def widened(rig: Rig, model: Model, data: PeriodicData) -> PeriodicData:
     if not isinstance(model, MeasuredResponse) or model.response is None:
         return data
     response = model.response
+    distortion = np.zeros_like(response.distortion) if model.linear else response.distortion
     known = list(response.rig.lines)
     U = np.fft.rfft(data.u, axis=-1)[..., known].transpose(2, 0, 1) / rig.period_samples
     own = np.einsum("fei,fij,fej->f", U.conj(), response.leverage, U).real / len(data.u)
-    variance = data.variance + response.distortion
+    variance = data.variance + distortion
     variance[known] += own[:, None] * response.variance[known]
     doubt = np.full(len(variance), _BEYOND)
     doubt[known[0] : known[-1] + 1] = _BETWEEN
@@ -133,10 +172,12 @@ def notes(model: Model) -> list[str]:
     if not isinstance(model, MeasuredResponse) or model.response is None:
         return []
     rig = model.response.rig
-    found = [
-        "the model is a recording: the gap is what has changed since, and its noise counts that of the recording "
-        "and the distortion that the structure had then",
-    ]
+    found = ["the model is the linear response in a recording, whose noise counts too"]
+    if not model.linear:
+        found = [
+            "the model is a recording: the gap is what has changed since, and its noise counts that of the "
+            "recording and the distortion that the structure had then",
+        ]
     still = [node.name for node in rig.nodes if node.input is None]
     if still:
         found.append(f"what acts at {', '.join(still)} was not tested, since no input is there")

@@ -165,6 +165,8 @@ class MeasuredResponse:
         Added to the structure at its nodes.
     realisations : pair of int, optional
         First and last that count, from 0; by default all.
+    linear : bool
+        The response is all there is: distortion that the recording had already counts as a gap.
     response : Response, optional
         What the recording holds, once it has been read.
     """
@@ -172,6 +174,7 @@ class MeasuredResponse:
     recording: str
     effects: tuple[Effect, ...] = field(default=())
     realisations: tuple[int, int] | None = None
+    linear: bool = False
     response: Response | None = field(default=None, compare=False, repr=False)
 
 
