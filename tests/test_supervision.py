@@ -8,12 +8,12 @@ import sys
 import time
 
 import pytest
+from test_service import MODEL, RIG, SERVICE
 
 from creak.cli.supervision import Supervisor
 from creak.errors import RigError
 from creak.records import RunStatus
 from creak.worker import Worker, drive
-from test_service import MODEL, RIG, SERVICE
 from test_worker import Frames, Keeper, finished, make_frames, make_rig, make_run
 
 PATIENCE = 1.0  # of the watchdog, s; a loop ticks every 0.2 s at least
