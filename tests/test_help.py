@@ -50,20 +50,23 @@ def test_help_is_shown(words, capsys):
     assert "Usage" in capsys.readouterr().out
 
 
-def complete(*words):
-    line = " ".join(("creak", *words))
-    told = {"_CREAK_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words))}
-    done = subprocess.run(
-        [sys.executable, "-c", "import sys; sys.argv[0] = 'creak'; from creak.cli import main; main()"],
-        env={**os.environ, **told},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return done.stdout.split()
+@pytest.fixture
+def complete(monkeypatch, capsys):
+    """What a shell is told when the last of some words is to be completed."""
+
+    def asked(*words):
+        monkeypatch.setattr(sys, "argv", ["creak"])
+        monkeypatch.setenv("_CREAK_COMPLETE", "complete_bash")
+        monkeypatch.setenv("COMP_WORDS", " ".join(("creak", *words)))
+        monkeypatch.setenv("COMP_CWORD", str(len(words)))
+        with pytest.raises(SystemExit):
+            run()
+        return capsys.readouterr().out.split()
+
+    return asked
 
 
-def test_a_shell_completes_commands_and_options():
+def test_a_shell_completes_commands_and_options(complete):
     assert complete("ex") == ["export", "excitation"]
     assert "--save-model" in complete("diagnose", "--")
     assert complete("key", "") == ["add", "list", "remove"]
@@ -77,6 +80,7 @@ def test_a_shell_completes_commands_and_options():
     ],
 )
 def test_a_shell_learns_to_complete(wish, shell, said, tmp_path):
+    """The real process: it writes into the home of whoever runs it."""
     environment = {**os.environ, "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1", "HOME": str(tmp_path)}
     program = "import sys; sys.argv[0] = 'creak'; from creak.cli import main; main()"
     done = subprocess.run(
