@@ -139,7 +139,9 @@ def in_order(recordings: Sequence[Recording]) -> list[Recording]:
     return ordered
 
 
-def replayed(paths: tuple[Path, ...], method: Method = "plain", sinks: Sequence[Sink] = ()) -> Replayed:
+def replayed(
+    paths: tuple[Path, ...], method: Method = "plain", sinks: Sequence[Sink] = (), *, ahead: bool = True
+) -> Replayed:
     """Replay the parts of one recording.
 
     Parameters
@@ -149,6 +151,8 @@ def replayed(paths: tuple[Path, ...], method: Method = "plain", sinks: Sequence[
         ``plain`` drops transient periods; ``lpm`` keeps all, and estimates the transient.
     sinks : sequence of Sink
         What else is to be fed.
+    ahead : bool
+        As for `worker.drive`; a task that is one of many on a machine keeps to one core.
 
     Raises
     ------
@@ -160,7 +164,7 @@ def replayed(paths: tuple[Path, ...], method: Method = "plain", sinks: Sequence[
     recording = Recording(*paths)
     source = SettledSource(recording) if method == "lpm" else recording
     newest = Newest()
-    monitor, end = drive(source, [newest, *sinks])
+    monitor, end = drive(source, [newest, *sinks], ahead=ahead)
     if end.status is RunStatus.INTERRUPTED:
         raise KeyboardInterrupt
     last = newest.estimate

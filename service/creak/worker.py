@@ -174,10 +174,10 @@ def _items(source: Source) -> Iterator[Item]:
 
 
 @contextmanager
-def _read_ahead(source: Source) -> Iterator[Iterator[Item]]:
+def _read_ahead(source: Source, ahead: bool) -> Iterator[Iterator[Item]]:
     """All that a source yields; the next few items of a recording are fetched by a thread of its own meanwhile."""
     items = _items(source)
-    if not isinstance(source, Replayable):
+    if not ahead or not isinstance(source, Replayable):
         yield items
         return
     reader = ThreadPoolExecutor(1, thread_name_prefix="reader")
@@ -194,7 +194,7 @@ def _read_ahead(source: Source) -> Iterator[Iterator[Item]]:
         reader.shutdown(cancel_futures=True)
 
 
-def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
+def drive(source: Source, sinks: Sequence[Sink], *, ahead: bool = True) -> tuple[Monitor, RunEnd]:
     """Run a source to its end in this thread; a recording is read ahead in another.
 
     Parameters
@@ -202,6 +202,8 @@ def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
     source : Source
         One that may be held back.
     sinks : sequence of Sink
+    ahead : bool
+        False where other cores have work of their own: nothing is read ahead.
 
     Returns
     -------
@@ -219,7 +221,7 @@ def drive(source: Source, sinks: Sequence[Sink]) -> tuple[Monitor, RunEnd]:
     monitor = path.monitor
     assert isinstance(monitor, Monitor)
     try:
-        with _read_ahead(source) as items:
+        with _read_ahead(source, ahead) as items:
             for item in items:
                 path.take(item)
                 if path.failure is not None:

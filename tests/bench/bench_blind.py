@@ -1,6 +1,9 @@
 """Blind trials of the diagnosis: cases drawn, recorded, diagnosed by another process, and scored.
 
 ``python tests/bench/bench_blind.py [--cases 200] [--seed 1] [--first 0] [--processes 2] [--json FILE]``
+
+With ``--scheduler ADDRESS`` the cases are tasks of a Dask cluster, whose workers have one thread each (processor
+time is that of a worker's children) and see this clone under the same path.
 """
 
 import argparse
@@ -10,20 +13,39 @@ import sys
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+TESTS = str(Path(__file__).parents[1])
+sys.path.insert(0, TESTS)
 
-from blind import score, trial
-from blind.cases import draw
+from blind import score
 
 
-def one(seed, timeout, index):
-    """Draw and try one case."""
+def one(tests, seed, timeout, index):
+    """Draw and try one case; a worker elsewhere finds the rest in the same clone."""
+    if tests not in sys.path:
+        sys.path.insert(0, tests)
+    from blind import trial
+    from blind.cases import draw
+
     os.environ["OMP_NUM_THREADS"] = "1"
     with tempfile.TemporaryDirectory(prefix="creak-") as folder:
         return index, trial.run(draw(seed, index), Path(folder), timeout)
+
+
+@contextmanager
+def executor(scheduler, processes):
+    """Give an executor, and what tells how many trials it does at a time."""
+    if scheduler is None:
+        with ProcessPoolExecutor(processes) as pool:
+            yield pool, lambda: processes
+        return
+    from creak.cluster import connected
+
+    with connected(scheduler) as cluster:
+        yield cluster.executor(), lambda: max(1, cluster.threads)
 
 
 def brief(index, result):
@@ -39,7 +61,7 @@ def brief(index, result):
     )
 
 
-def main(cases=200, seed=1, first=0, processes=2, timeout=600.0, budget=None, show=True):
+def main(cases=200, seed=1, first=0, processes=2, timeout=600.0, budget=None, show=True, scheduler=None):
     """Run blind trials.
 
     Parameters
@@ -54,6 +76,8 @@ def main(cases=200, seed=1, first=0, processes=2, timeout=600.0, budget=None, sh
         Seconds after which no further trial begins.
     show : bool
         Print a line a trial.
+    scheduler : str, optional
+        Address of a Dask scheduler that spreads the trials, in place of processes here.
 
     Returns
     -------
@@ -63,12 +87,12 @@ def main(cases=200, seed=1, first=0, processes=2, timeout=600.0, budget=None, sh
     begun = time.monotonic()
     trials = {}
     waiting = list(range(first, first + cases))
-    with ProcessPoolExecutor(processes) as pool:
+    with executor(scheduler, processes) as (pool, at_a_time):
         running = set()
         while waiting or running:
             late = budget is not None and time.monotonic() - begun > budget
-            while waiting and len(running) < processes and not late:
-                running.add(pool.submit(partial(one, seed, timeout), waiting.pop(0)))
+            while waiting and not late and len(running) < at_a_time():
+                running.add(pool.submit(partial(one, TESTS, seed, timeout), waiting.pop(0)))
             if not running:
                 break
             done = next(as_completed(running))
@@ -88,9 +112,12 @@ if __name__ == "__main__":
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--budget", type=float)
+    parser.add_argument("--scheduler")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    outcome = main(given.cases, given.seed, given.first, given.processes, budget=given.budget)
+    outcome = main(
+        given.cases, given.seed, given.first, given.processes, budget=given.budget, scheduler=given.scheduler
+    )
     print(score.tables(outcome))
     if given.json:
         given.json.write_text(json.dumps(outcome, indent=1))

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from creak.cli.display import ProgressBar, console, detection_table, element_line, level_table
 from creak.cli.progress import progress
-from creak.cluster import Here, connected
+from creak.cluster import Cluster, Here, connected
 from creak.codec import parse_time
 from creak.config.rig import load_rig
 from creak.errors import ConfigurationError, InputError
@@ -170,13 +170,16 @@ def replay(
     else:
         done = 0
         with nullcontext(Here()) if scheduler is None else connected(scheduler) as place, progress() as tell:
+            if isinstance(place, Cluster) and not place.threads:
+                warn(f"the scheduler at {scheduler} has no workers yet; waiting for one")
 
             def next_one() -> None:
                 nonlocal done
                 done += 1
                 tell(f"replaying, {done} of {len(parts)} recordings", done / len(parts))
 
-            whole = place.reduce(partial(replayed, method=method), parts, add, next_one)
+            task = partial(replayed, method=method, ahead=scheduler is None)
+            whole = place.reduce(task, parts, add, next_one)
     for told in whole.recordings:
         for line in told.damage:
             warn(line)
