@@ -7,6 +7,7 @@ import numpy as np
 
 from creak.gap import reference
 from creak.gap.between import locate
+from creak.gap.equivalents import cannot_tell, equivalents
 from creak.gap.force import force_curves, missing_force
 from creak.gap.hypothesis import Hypothesis, apply
 from creak.gap.levels import Division, Level, band_shares, db, divide, gap_levels, level, node_gaps, noise_bound
@@ -188,7 +189,9 @@ def _concluded(
         nodes=node_gaps(rig, before, after, division),
         where=where,
         causes=tuple(_wider(cause, shared) for cause in named.causes),
-        alternatives=tuple(_wider(cause, shared) for cause in named.alternatives),
+        alternatives=tuple(
+            _wider(cause, shared) for cause in equivalents(rig, corrected, named.causes, named.alternatives)
+        ),
         linear_corrections=tuple(
             replace(item, standard_error=shared * item.standard_error) for item in named.corrections
         ),
@@ -196,7 +199,7 @@ def _concluded(
         unknown_probability=unknown,
         corrected=corrected,
         tested=tested,
-        not_claimed=tuple(notes),
+        not_claimed=(*notes, *cannot_tell(rig, named.causes)),
     )
 
 
