@@ -29,10 +29,11 @@ async function act(alarm, verb, { title, action, fields = [], body = () => ({}),
   const seen = await request(path("alarms", alarm.id));
   const tag = seen.headers.get("ETag");
   const standing = await seen.json();
+  const kind = standing.severity === "warning" ? "Warning" : "Alarm";
   const level = standing.level_db === null ? "" : `, ${standing.level_db.toFixed(1)} dB`;
   const done = await question({
     title: `${title}: ${alarm.rig}, node ${alarm.node}`,
-    text: `${standing.severity === "warning" ? "Warning" : "Alarm"} since ${clock(standing.since)}${level}. ${standing.guidance}`,
+    text: `${kind} since ${clock(standing.since)}${level}. ${standing.guidance}`,
     fields: [who(), ...fields, comment],
     action,
     async send(values) {

@@ -53,6 +53,9 @@ export function chart(
       const top = u.valToPos(to ?? value, "y", true);
       const size = Math.max(u.valToPos(value, "y", true) - top, 0);
       u.ctx.save();
+      u.ctx.beginPath();
+      u.ctx.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height);
+      u.ctx.clip();
       u.ctx.globalAlpha = size > 2 ? 0.18 : 1;
       u.ctx.fillStyle = u.ctx.strokeStyle = colour(name);
       if (size > 2) u.ctx.fillRect(u.bbox.left, top, u.bbox.width, size);
@@ -62,7 +65,7 @@ export function chart(
   }
 
   function drawMarks() {
-    for (const { x: value, colour: name, label: text } of marks()) {
+    for (const [i, { x: value, colour: name, label: text }] of marks().entries()) {
       const left = u.valToPos(value, "x", true);
       if (left < u.bbox.left || left > u.bbox.left + u.bbox.width) continue;
       u.ctx.save();
@@ -70,7 +73,7 @@ export function chart(
       stroke(u, [left, u.bbox.top, left, u.bbox.top + u.bbox.height], [2, 3]);
       u.ctx.font = `600 ${12 * devicePixelRatio}px system-ui, sans-serif`;
       u.ctx.textAlign = left > u.bbox.left + 0.8 * u.bbox.width ? "right" : "left";
-      u.ctx.fillText(` ${text} `, left, u.bbox.top + 12 * devicePixelRatio);
+      u.ctx.fillText(` ${text} `, left, u.bbox.top + (12 + 15 * (i % 3)) * devicePixelRatio); // neighbours overlap
       u.ctx.restore();
     }
   }
@@ -90,8 +93,13 @@ export function chart(
   const ended = onTheme(() => u?.redraw());
   return {
     set(data) {
-      if (u) u.setData(data, !zoomed(u));
-      else build(data);
+      if (!u) {
+        build(data);
+        return;
+      }
+      const all = !zoomed(u);
+      u.setData(data, all);
+      if (!all) u.redraw();
     },
     close() {
       ended();

@@ -50,7 +50,8 @@ function same(one, other) {
 
 /**
  * A table. columns: { head, cell(row), number, hint, quiet }, quiet for a head that only screen readers need;
- * mark(row): a class for the row; stacked: where there is little room, cells stand below each other, as what can be done must not lie beyond the edge.
+ * mark(row): a class for the row; stacked: where there is little room, cells stand below each other, as what can
+ * be done must not lie beyond the edge.
  */
 export function table(columns, rows, { caption, empty = "none", mark = () => null, stacked = false } = {}) {
   if (!rows.length) return h("p", { class: "empty" }, empty);

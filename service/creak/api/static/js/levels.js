@@ -5,7 +5,7 @@ import { h } from "./dom.js";
 import { clock } from "./format.js";
 import { all, get, path } from "./http.js";
 
-const MOST = 3000; // points of a chart
+export const MOST = 3000; // points of a chart
 const MARKED = 12; // alarms whose journal is read
 
 const RATIOS = [
@@ -102,6 +102,7 @@ export function levels(host, unit) {
   ];
   return {
     set(values) {
+      if (Object.entries(values).every(([name, value]) => shown[name] === value)) return;
       shown = { ...shown, ...values };
       const { rows } = shown;
       note.textContent = rows.length ? "" : "No levels yet: the first come with the first complete realisation.";

@@ -4,6 +4,7 @@ import { Unreachable, all, get, now, path } from "./http.js";
 import { rank } from "./states.js";
 import { listen } from "./stream.js";
 
+const PAUSE_MS = 300; // between two readings of the same in a storm of events
 const POLL_MS = 5000; // frames make no events, so how far a rig has come is asked for
 const SILENT_S = 60; // as for /readyz: a minute, or five periods of a slow rig
 const SILENT_PERIODS = 5;
@@ -63,39 +64,41 @@ export async function attempt(task) {
   }
 }
 
-/** One run of a task at a time; what asks for it meanwhile gets one more. */
-function single(task) {
+/** Does a task once at a time, and once more for all who asked meanwhile: a storm of events is met calmly. */
+export function calm(task) {
   let running = null;
   let again = false;
   return () => {
-    if (running) {
-      again = true;
-      return running;
-    }
-    running = (async () => {
-      do {
+    again = true;
+    running ??= (async () => {
+      while (again) {
         again = false;
         await task();
-      } while (again);
-    })()
-      .then(
-        () => {
-          live.problem = null;
-        },
-        (error) => {
-          live.problem = error;
-          if (error instanceof Unreachable) lost();
-        },
-      )
-      .finally(() => {
-        running = null;
-        tell();
-      });
+        if (again) await new Promise((done) => setTimeout(done, PAUSE_MS));
+      }
+    })().finally(() => {
+      running = null;
+    });
     return running;
   };
 }
 
-export const refreshRigs = single(async () => {
+/** The same for what keeps the figures up to date: whether it could is said at the top of the page. */
+function refreshing(task) {
+  const calmly = calm(task);
+  return async () => {
+    try {
+      await calmly();
+      live.problem = null;
+    } catch (error) {
+      live.problem = error;
+      if (error instanceof Unreachable) lost();
+    }
+    tell();
+  };
+}
+
+export const refreshRigs = refreshing(async () => {
   const rigs = await all("/rigs");
   for (const rig of rigs) {
     const known = live.rigs.get(rig.name);
@@ -105,37 +108,48 @@ export const refreshRigs = single(async () => {
   live.loaded = true;
 });
 
-export const refreshAlarms = single(async () => {
+export const refreshAlarms = refreshing(async () => {
   const alarms = await all(`/alarms?${STANDING.map((state) => `state=${state}`).join("&")}&limit=500`);
   live.alarms = alarms.sort(
     (one, other) => rank(other.state) - rank(one.state) || (one.since < other.since ? 1 : -1),
   );
 });
 
-async function refreshRig(name) {
-  const base = path("rigs", name);
-  try {
-    const [detail, nodes] = await Promise.all([get(base), all(`${base}/nodes?limit=1000`)]);
-    live.details.set(name, detail);
-    live.nodes.set(name, nodes);
-    tell();
-  } catch (error) {
-    live.problem = error;
-  }
+/** A task for any rig, of which each has its own. */
+function ofRig(wrap, task) {
+  const tasks = new Map();
+  return (name) => {
+    if (!tasks.has(name))
+      tasks.set(
+        name,
+        wrap(() => task(name)),
+      );
+    return tasks.get(name)();
+  };
 }
+
+const refreshRig = ofRig(refreshing, async (name) => {
+  const base = path("rigs", name);
+  const [detail, nodes] = await Promise.all([get(base), all(`${base}/nodes?limit=1000`)]);
+  live.details.set(name, detail);
+  live.nodes.set(name, nodes);
+});
 
 /** Reads what is needed to draw a rig, for the views that draw it. */
-export async function readPicture(name) {
+export const readPicture = ofRig(calm, async (name) => {
   const base = path("rigs", name);
+  const known = live.pictures.get(name);
+  const run = live.rigs.get(name)?.run;
   const [structure, elements] = await Promise.all([
-    live.pictures.get(name)?.structure ?? get(`${base}/structure`),
+    known && known.run === run ? known.structure : get(`${base}/structure`),
     get(`${base}/elements?limit=50`),
   ]);
-  live.pictures.set(name, { structure, elements });
+  live.pictures.set(name, { run, structure, elements });
   tell();
-}
+});
 
-export const changesPicture = (kind, { scope }) => kind === "levels" && scope === "window";
+/** True for events after which a rig is to be drawn anew. */
+export const changesPicture = (kind, { scope }) => kind === "run" || (kind === "levels" && scope === "window");
 
 export function refreshAll() {
   return Promise.all([refreshRigs(), refreshAlarms(), ...[...live.rigs.keys()].map(refreshRig)]);
@@ -203,5 +217,8 @@ export function condition(rig) {
 /** True if what is shown may be out of date. */
 export const stale = () => live.loaded && !live.connected;
 
-/** The most urgent alarm of a node, if any stands. */
-export const alarmOf = (rig, node) => live.alarms.find((alarm) => alarm.rig === rig && alarm.node === node);
+/** The most urgent alarm of a node, if any stands; those about data come after. */
+export function alarmOf(rig, node) {
+  const standing = live.alarms.filter((alarm) => alarm.rig === rig && alarm.node === node);
+  return standing.find((alarm) => alarm.class === "process") ?? standing[0];
+}

@@ -4,7 +4,7 @@ import { alarmButtons, diagnosisOf } from "../actions.js";
 import { facts, h, replace, section, table } from "../dom.js";
 import { clock, decibels, words } from "../format.js";
 import { all, get, path } from "../http.js";
-import { attempt, hear, live, subscribe } from "../live.js";
+import { attempt, calm, hear, live, subscribe } from "../live.js";
 import { to } from "../router.js";
 import { stateBadge } from "../states.js";
 
@@ -71,10 +71,10 @@ export function alarms(root) {
   root.append(h("div", { class: "title" }, h("h1", { tabindex: "-1" }, "Alarms"), choice), list);
 
   const show = () => live.loaded && replace(list, alarmTable(everything ?? live.alarms));
-  async function read() {
+  const read = calm(async () => {
     everything = choice.value === "all" ? await all("/alarms?limit=200", 200) : null;
     show();
-  }
+  });
   choice.addEventListener("change", () => attempt(read));
   const ends = [subscribe(show), hear((kind) => kind === "alarm" && everything && read())];
   show();
@@ -85,7 +85,7 @@ export async function alarm(root, { id }) {
   const place = h("div", { class: "view" });
   root.append(place);
 
-  async function read() {
+  const read = calm(async () => {
     const [found, diagnosis] = await Promise.all([get(path("alarms", id)), diagnosisOf(id)]);
     replace(
       place,
@@ -143,7 +143,7 @@ export async function alarm(root, { id }) {
         ),
       ),
     );
-  }
+  });
   await read();
   return { close: hear((kind, data) => kind === "alarm" && data.id === id && read()) };
 }

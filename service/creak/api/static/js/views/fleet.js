@@ -97,7 +97,7 @@ function card(rig, picture) {
   const faults = Object.values(rig.faults).reduce((sum, number) => sum + number, 0);
   return h(
     "article",
-    { class: `card rig${urgency(rig) ? " marked" : ""}` },
+    { class: `card rig ${status}` },
     h("h2", {}, h("a", { href: to("rigs", rig.name), "data-key": `rig ${rig.name}` }, rig.name)),
     h(
       "p",

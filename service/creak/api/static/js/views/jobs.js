@@ -76,14 +76,11 @@ export async function follow(root, id, { title, back, result }) {
       open(job) || job.reason || job.status === "cancelled" ? going(job) : null,
       job.result ? result(job) : null,
     );
-    if (open(job))
-      timer = setTimeout(
-        () =>
-          read().catch(() => {
-            timer = setTimeout(read, POLL_MS);
-          }),
-        POLL_MS,
-      );
+    if (open(job)) wait();
+  }
+
+  function wait() {
+    if (!closed) timer = setTimeout(() => read().catch(wait), POLL_MS); // that it cannot be read is said above
   }
   await read();
   return {

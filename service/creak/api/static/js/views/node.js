@@ -1,12 +1,12 @@
 // One node: its spectra live, classical and networked side by side, and the history of its levels.
 
-import { levels, readHistory, readMarks } from "../levels.js";
+import { MOST, levels, readHistory, readMarks } from "../levels.js";
 import { spectra } from "../spectra.js";
 import { alarmButtons } from "../actions.js";
 import { facts, h, replace } from "../dom.js";
 import { clock, count, decibels, figure, probability } from "../format.js";
 import { all, get, path } from "../http.js";
-import { alarmOf, attempt, hear, live, subscribe } from "../live.js";
+import { alarmOf, attempt, calm, hear, live, subscribe } from "../live.js";
 import { to } from "../router.js";
 import { stateBadge } from "../states.js";
 
@@ -94,7 +94,7 @@ export async function node(root, { rig, node: name }) {
     past.set({ limit: live.details.get(rig)?.limits.total_to_noise_db ?? null });
   }
 
-  async function readSpectrum() {
+  const readSpectrum = calm(async () => {
     chartHost.hidden = now.time === null;
     if (now.time === null) {
       caption.textContent = "No spectrum yet: the first comes with the first complete realisation.";
@@ -108,7 +108,7 @@ export async function node(root, { rig, node: name }) {
       ].join("; ");
       drawn.set(spectrum);
     }
-  }
+  });
 
   async function readPast() {
     const last = live.rigs.get(rig)?.last;
@@ -117,7 +117,7 @@ export async function node(root, { rig, node: name }) {
     past.set({ rows });
   }
 
-  async function readMarksAndBaselines() {
+  const readMarksAndBaselines = calm(async () => {
     const [marks, baselines] = await Promise.all([
       readMarks(rig, name),
       all(`${path("rigs", rig)}/baselines?node=${encodeURIComponent(name)}`),
@@ -127,14 +127,14 @@ export async function node(root, { rig, node: name }) {
       learnt,
       baselines.length ? h("ul", { class: "hint" }, baselines.map(baseline)) : h("p", { class: "hint" }, NONE),
     );
-  }
+  });
 
-  async function extend() {
+  const extend = calm(async () => {
     const newer = await readHistory(rig, name, rows.at(-1)?.time);
     const known = new Set(rows.map(({ time }) => time));
-    rows = [...rows, ...newer.filter(({ time }) => !known.has(time))];
+    rows = [...rows, ...newer.filter(({ time }) => !known.has(time))].slice(-MOST);
     past.set({ rows });
-  }
+  });
 
   scope.addEventListener("change", () => attempt(readSpectrum));
   span.addEventListener("change", () => attempt(readPast));
