@@ -56,6 +56,7 @@ def complete(monkeypatch, capsys):
 
     def asked(*words):
         monkeypatch.setattr(sys, "argv", ["creak"])
+        monkeypatch.setattr(sys.modules["__main__"], "__package__", "", raising=False)  # else: python -m pytest
         monkeypatch.setenv("_CREAK_COMPLETE", "complete_bash")
         monkeypatch.setenv("COMP_WORDS", " ".join(("creak", *words)))
         monkeypatch.setenv("COMP_CWORD", str(len(words)))
