@@ -13,10 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from conftest import make_rig
+from conftest import make_rig, make_run
 from creak import codec
 from creak.alarm_records import AlarmRules, BaselineRules
+from creak.codec import memory_bytes, memory_of
+from creak.detection import LineSums
 from creak.errors import InputError, RecordingError
+from creak.judgement import Block
+from creak.monitor import Monitor
 from creak.records import (
     AlarmChange,
     AlarmState,
@@ -38,6 +42,7 @@ from creak.records import (
     Scope,
     Spectra,
 )
+from creak.statistics import Sums
 from recorded import exact
 
 EXCITED = Excitation("multisine")
@@ -323,3 +328,19 @@ def test_alarm_has_the_keys_of_the_contract() -> None:
     assert shown["state"] == "unacknowledged"
     assert shown["since"] == "1970-01-01T00:00:01.000000Z"
     assert set(shown) >= set(ALARM_KEYS.split())
+
+
+def test_arrays_keep_their_order_in_memory_and_shared_ones_are_written_once(rng):
+    """Kills a restart that holds every matrix in another order than the loops want, and bytes written four times."""
+    lines_last = rng.standard_normal((2, 3, 50)).transpose(2, 0, 1)
+    shared, seen = rng.standard_normal((50, 2, 3)) + 1j, rng.standard_normal((2, 50, 3)) + 0j
+    sums = [Sums(1, 2, shared, lines_last, shared, shared, seen, shared) for _ in range(4)]
+    nothing = LineSums(1, 2, np.empty((0, 2)), np.empty((0, 2)))
+    blocks = tuple(Block(one, nothing, nothing) for one in sums)
+    data = memory_bytes(dataclasses.replace(Monitor(make_run(make_rig(2))).memory, blocks=blocks))
+    assert len(data) < shared.nbytes + lines_last.nbytes + seen.nbytes + 8_000
+    for block in memory_of(data).blocks:
+        np.testing.assert_array_equal(block.sums.S, shared)
+        np.testing.assert_array_equal(block.sums.spread, lines_last)
+        np.testing.assert_array_equal(block.sums.period_sums, seen)
+        assert block.sums.spread.strides == lines_last.strides

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from creak.findings import DetectionLevel
+from creak.moments import line_powers
 from creak.records import Complex, Real, Rig
 
 
@@ -86,13 +87,10 @@ class LineSums:
         spectra : array, (q, P, lines, n)
             Responses, DFT divided by N.
         """
-        mean = spectra.mean(axis=1)
-        return cls(
-            experiments=spectra.shape[0],
-            periods=spectra.shape[1],
-            mean=_power(mean).sum(axis=0),
-            within=_power(spectra - mean[:, None]).sum(axis=(0, 1)),
-        )
+        E, P, lines, n = spectra.shape
+        mean, within = np.empty((n, lines)), np.empty((n, lines))
+        line_powers(np.ascontiguousarray(spectra.swapaxes(2, 3)), mean, within)
+        return cls(experiments=E, periods=P, mean=mean.T, within=within.T)
 
     def __add__(self, other: "LineSums") -> "LineSums":
         """Sums of both operands' experiments together."""
@@ -152,11 +150,6 @@ def detection_levels(rig: Rig, excited: LineSums, left_out: LineSums) -> tuple[D
             )
         )
     return tuple(levels)
-
-
-def _power(values: Complex) -> Real:
-    """``|x|^2`` of each, without the root that the absolute value takes."""
-    return np.asarray(values.real**2 + values.imag**2)
 
 
 def _mean_db(power: Real) -> float | None:

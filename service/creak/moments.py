@@ -85,6 +85,33 @@ def responses(spectra: Complex, q: int, S: Complex, condition: Real) -> None:
 
 
 @vectorised
+def line_powers(spectra: Complex, mean: Real, within: Real) -> None:
+    """``sum_e |mean_p Y|^2`` and ``sum_e sum_p |Y - mean_p Y|^2`` of every channel and line.
+
+    Parameters
+    ----------
+    spectra : array, (E, P, n, lines)
+    mean, within : array, (n, lines)
+        Results.
+    """
+    E, P, n, F = spectra.shape
+    for i in range(n):
+        for f in range(F):
+            power, change = 0.0, 0.0
+            for e in range(E):
+                total = spectra[e, 0, i, f]
+                for p in range(1, P):
+                    total += spectra[e, p, i, f]
+                total = total / P
+                power += total.real * total.real + total.imag * total.imag
+                for p in range(P):
+                    off = spectra[e, p, i, f] - total
+                    change += off.real * off.real + off.imag * off.imag
+            mean[i, f] = power
+            within[i, f] = change
+
+
+@vectorised
 def residual_moments(
     spectra: Complex, S: Complex, between: Complex, within: Complex, period_sums: Complex
 ) -> None:

@@ -20,6 +20,7 @@ from creak.codec import memory_bytes, memory_of
 from creak.digests import Gatherer, Outcome
 from creak.errors import CreakError, StorageError
 from creak.monitor import Memory, Monitor
+from creak.preparation import prepare
 from creak.records import AlarmChange, Counts, Estimate, Fault, FaultKind, Frame, FrameStatus, RunEnd, RunStatus
 from creak.sinks.protocol import Desk, Sink
 from creak.sources.protocol import Replayable, Source
@@ -52,6 +53,7 @@ class _Path:
         memory: Memory | None = None,
         gatherer: Gatherer | None = None,
     ) -> None:
+        prepare()
         if memory is not None:  # what a run begins with belongs to its recording, or a replay would differ
             source.run = replace(source.run, before=memory_bytes(memory))
         elif source.run.before:

@@ -15,6 +15,7 @@ import typer
 from creak.analyser import Analyser
 from creak.analysis import Plan
 from creak.broker import Broker, StreamLimits
+from creak.cli.progress import prepare_loops
 from creak.cli.sources import make_folder, named_rigs, open_source, plan_of
 from creak.cli.supervision import Supervisor
 from creak.config.service import load_service
@@ -55,6 +56,7 @@ def worker(config: Annotated[Path, typer.Argument(help="Service file (creak.toml
         for index, (table, rig) in enumerate(zip(settings.rigs, named_rigs(settings, str(config)), strict=True))
     ]
     make_folder(settings.data)
+    prepare_loops()
     stream, parts = settings.stream, settings.recording
     whole_frames = stream.send == "frames"
     broker = _broker(stream)

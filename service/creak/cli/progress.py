@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
 from creak.cli.display import console
+from creak.preparation import prepare
 
 Tell = Callable[[str, float], None]
 """Called with what is being done and the fraction done, 0 to 1."""
@@ -39,6 +40,12 @@ def progress(descriptor: int | None = None) -> Iterator[Tell]:
     with bar:
         task = bar.add_task("reading", total=1.0)
         yield lambda what, done: bar.update(task, description=what, completed=done)
+
+
+def prepare_loops() -> None:
+    """Have the inner loops compiled, and say so to a person who waits for it."""
+    with console().status("compiling the inner loops, the first time only"):
+        prepare()
 
 
 def _write(write: Callable[[str], int], what: str, done: float) -> None:

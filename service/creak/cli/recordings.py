@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 
 from creak.cli.display import ProgressBar, console, detection_table, element_line, level_table
-from creak.cli.progress import progress
+from creak.cli.progress import prepare_loops, progress
 from creak.cluster import Cluster, Here, connected
 from creak.codec import parse_time
 from creak.config.rig import load_rig
@@ -165,6 +165,8 @@ def replay(
     """
     ordered = in_order(recordings(*files))
     parts = [tuple(path.resolve() for path in recording.paths) for recording in ordered]
+    if scheduler is None:
+        prepare_loops()
     if scheduler is None and len(parts) == 1:
         whole = replayed(parts[0], method, [ProgressBar("replaying", None)])
     else:
@@ -230,6 +232,7 @@ def _record(source: Source, output: Path, frames: int | None, label: str) -> Non
     newest = Newest()
     with whole_file(output) as unfinished:
         recorder = Recorder(unfinished)
+        prepare_loops()
         monitor, end = drive(source, [recorder, newest, ProgressBar(label, frames)])
         if end.status is RunStatus.INTERRUPTED:
             raise KeyboardInterrupt

@@ -23,6 +23,7 @@ from creak.api.access import Access
 from creak.api.process import ApiProcess, ApiSettings
 from creak.cli.fleet import background_analysis
 from creak.cli.live import LiveLevels
+from creak.cli.progress import prepare_loops
 from creak.cli.recordings import replay_line
 from creak.cli.sources import make_folder, named_rigs, open_source, plan_of, simulated_rig
 from creak.cli.supervision import Supervisor
@@ -189,6 +190,7 @@ def _run(
 ) -> int:
     """Run workers and API until a signal; the exit code."""
     make_folder(settings.data)
+    prepare_loops()
     signal.signal(signal.SIGTERM, _interrupt)
     store = open_store(settings.store_url, source="configuration", key="store.url")
     limits = settings.recording

@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from creak.alarm_records import Verdict
 from creak.alarms.judge import NodeAlarm, Watch
@@ -60,9 +61,9 @@ def memory_of(data: bytes) -> Memory:
 
 def packed(value: Memory | Checkpoint | Digest | Block) -> bytes:
     """Write a record as bytes."""
-    arrays: list[bytes] = []
+    arrays = _Arrays()
     text = json.dumps({"format": _FORMAT, "memory": _plain(value, arrays)}, separators=(",", ":")).encode()
-    return len(text).to_bytes(8, "little") + text + b"".join(arrays)
+    return b"".join((len(text).to_bytes(8, "little"), text, *arrays.parts))
 
 
 def unpacked(kind: type[_T], data: bytes) -> _T:
@@ -106,16 +107,35 @@ def _read(data: bytes, part: Callable[[Any], Any]) -> Any:
         raise RecordingError(f"a monitor's state that cannot be read: {error}") from error
 
 
-def _plain(value: Any, arrays: list[bytes]) -> Any:
+class _Arrays:
+    """Bytes of arrays, in the order of their memory; an array that several records share stands there once."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes] = []
+        self._size = 0
+        self._known: dict[int, tuple[NDArray[Any], list[Any]]] = {}  # with the array, so that its id stays its own
+
+    def add(self, value: NDArray[Any]) -> list[Any]:
+        """Where an array lies and how it is read: type, shape in memory, offset, and which axes those are."""
+        if id(value) not in self._known:
+            axes = sorted(range(value.ndim), key=lambda axis: -value.strides[axis])
+            little = value.dtype.newbyteorder("<")
+            stored = np.ascontiguousarray(value.transpose(axes), dtype=little)
+            place = ["ordered", little.str, list(stored.shape), self._size, axes]
+            self.parts.append(stored.tobytes())
+            self._size += stored.nbytes
+            self._known[id(value)] = value, place
+        return self._known[id(value)][1]
+
+
+def _plain(value: Any, arrays: _Arrays) -> Any:
     """Turn a value into what JSON holds: a scalar, or a list that begins with its kind."""
     if isinstance(value, Enum):
         return ["enum", type(value).__name__, value.value]
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.ndarray):
-        offset = sum(map(len, arrays))
-        arrays.append(np.ascontiguousarray(value).astype(value.dtype.newbyteorder("<")).tobytes())
-        return ["array", value.dtype.newbyteorder("<").str, list(value.shape), offset]
+        return arrays.add(value)
     if isinstance(value, tuple):
         return ["tuple", *(_plain(item, arrays) for item in value)]
     if isinstance(value, frozenset):
@@ -136,10 +156,11 @@ def _made(value: Any, arrays: memoryview) -> Any:
     match kind:
         case "enum":
             return _ENUMS[rest[0]](rest[1])
-        case "array":
-            dtype, shape, offset = np.dtype(rest[0]), tuple(rest[1]), rest[2]
+        case "array" | "ordered":  # the first is how it was written before, always the last axis fastest
+            dtype, shape, offset, *axes = np.dtype(rest[0]), tuple(rest[1]), *rest[2:]
             count = int(np.prod(shape, dtype=np.int64))
-            return np.frombuffer(arrays, dtype, count, offset).reshape(shape).copy()
+            stored = np.frombuffer(arrays, dtype, count, offset).reshape(shape).copy()
+            return stored.transpose(np.argsort(axes[0])) if axes else stored
         case "tuple":
             return tuple(_made(item, arrays) for item in rest)
         case "set":

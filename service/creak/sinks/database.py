@@ -1,7 +1,8 @@
 """The store as a database: opened, checked, and its two kinds of transaction."""
 
+import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -49,6 +50,8 @@ class Store:
             "durable": engine.execution_options(**{_MODE: "durable"}),
             "status": engine.execution_options(**{_MODE: "status"}),
         }
+        # SQLite lets a waiting writer try again now and then, so of a hundred some wait for half a minute
+        self._turn = threading.Lock() if engine.dialect.name == "sqlite" else nullcontext()
         self._witness: Any = None  # a connection that never writes, and so sees all that is written
 
     @contextmanager
@@ -78,7 +81,7 @@ class Store:
         StorageError
             If the store cannot be written.
         """
-        with self._transaction("durable" if durable else "status") as connection:
+        with self._turn, self._transaction("durable" if durable else "status") as connection:
             yield connection
 
     def version(self) -> int | None:

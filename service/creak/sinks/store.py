@@ -190,9 +190,12 @@ class StoreSink:
         self._clean()
 
     def save(self, recorded: int, payload: bytes) -> None:
-        """Write what the rig's monitor has to know after a restart, in the place of what was there."""
+        """Write what the rig's monitor has to know after a restart, in the place of what was there.
+
+        It need not be on the disk at once: what must be is written behind it, and takes it along.
+        """
         row = {"rig": self._rig, "run": self._run, "time": recorded, "payload": payload}
-        with self._store.write() as connection:
+        with self._store.write(durable=False) as connection:
             states = operator_tables.states
             if not connection.execute(sa.update(states).where(states.c.rig == self._rig).values(row)).rowcount:
                 connection.execute(sa.insert(states).values(row))

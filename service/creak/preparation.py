@@ -1,0 +1,24 @@
+"""The monitor's inner loops, compiled before they are needed: a rig in operation does not wait for a compiler."""
+
+from functools import cache
+
+import numpy as np
+
+from creak.monitor import Monitor
+from creak.records import Excitation, Frame, Node, Rig, Run
+
+
+@cache
+def prepare() -> None:
+    """Let a monitor judge a small made-up rig, so that all of its loops are compiled, or read from the cache.
+
+    The first time on a machine that takes some ten seconds, later a fraction of one; a second call does nothing.
+    """
+    rig = Rig("none", 1.0, 16, 0, (1, 3), (Node("1", "m", "N"), Node("2", "m", "N")))
+    run = Run("none", rig, 2, 0, Excitation("measured"), "simulated", window=1)
+    monitor = Monitor(run)
+    rng = np.random.default_rng(0)
+    for m in range(3):
+        for c in range(rig.q):
+            for p in range(run.periods):
+                monitor.take(Frame(m, c, p, 0, rng.standard_normal((2, 16)), rng.standard_normal((2, 16))))
