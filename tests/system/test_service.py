@@ -268,6 +268,24 @@ def test_an_api_that_dies_comes_back_and_one_whose_service_dies_goes(serve):
         pass
 
 
+def test_beyond_loopback_nothing_is_answered_without_a_key(started, connect, place):
+    """Kills a service that a network can read, and a key that is good only in its own process."""
+    (place / "creak.toml").write_text(SERVICE.format(pace=20.0))
+    port = free_port()
+    process = started("serve", "creak.toml", cwd=place, CREAK_SERVER__PORT=str(port), CREAK_SERVER__HOST="0.0.0.0")
+    client = connect(port)
+    wait_for("the service is ready", lambda: client.get("/readyz").status_code == 200, process)
+    refused = client.get("/api/v1/rigs")
+    assert (refused.status_code, refused.headers["www-authenticate"]) == (401, "Bearer")
+    made = started("key", "add", "wall", "--config", "creak.toml", cwd=place)
+    token, err = made.communicate(timeout=DEADLINE)
+    assert made.returncode == 0, err
+    allowed = client.get("/api/v1/rigs", headers={"Authorization": f"Bearer {token.strip()}"})
+    assert [rig["name"] for rig in allowed.json()["items"]] == ["small"]
+    process.send_signal(signal.SIGTERM)
+    assert "no keys yet" in process.communicate(timeout=DEADLINE)[1]
+
+
 def test_a_port_in_use_is_one_line_and_touches_nothing(started, place):
     (place / "creak.toml").write_text(SERVICE.format(pace=1.0))
     with socket.socket() as taken:
