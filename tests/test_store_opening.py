@@ -10,6 +10,7 @@ from sqlalchemy.dialects import postgresql
 from creak.errors import ConfigurationError, StorageError
 from creak.sinks import tables
 from creak.sinks.database import open_store
+from store_records import fill_beam
 
 
 @pytest.fixture
@@ -44,6 +45,32 @@ def test_database_of_something_else_is_refused_and_left_alone(tmp_path):
     before = path.read_bytes()
     with pytest.raises(ConfigurationError, match=r"something else \(invoices"):
         open_store(f"sqlite:///{path}")
+    assert path.read_bytes() == before
+
+
+def damage(path, how):
+    data = bytearray(path.read_bytes())
+    if how == "a page of noise":
+        data[40960:45056] = bytes(range(256)) * 16
+    elif how == "cut":
+        data = data[: len(data) // 2]
+    elif how == "the list of tables":
+        data[100:4096] = b"\xff" * 3996
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("how", ["a page of noise", "cut", "the list of tables"])
+def test_damaged_database_is_refused_left_alone_and_told_what_to_do_about(url, tmp_path, how):
+    """Kills a service that begins on half a history, and one that writes into it."""
+    store = open_store(url)
+    fill_beam(store)
+    store.close()
+    path = tmp_path / "var/creak.db"
+    damage(path, how)
+    before = path.read_bytes()
+    with pytest.raises(ConfigurationError, match=r"^creak\.toml: store\.url: .*malformed.*\.recover") as caught:
+        open_store(url, source="creak.toml", key="store.url")
+    assert "\n" not in str(caught.value)
     assert path.read_bytes() == before
 
 

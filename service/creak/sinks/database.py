@@ -203,13 +203,23 @@ def _listen(engine: sa.Engine) -> None:
 
 
 def _adopt(store: Store, source: str, key: str) -> None:
-    """Make the tables of a new store, bring up those of an older one, and leave a foreign or newer one alone."""
+    """Make the tables of a new store, bring up those of an older one, and leave any other alone.
+
+    Any other: one of something else, of a newer version, or damaged.
+    """
     try:
+        _check(store)
         with store.read() as connection:
             current = _version(connection, source, key) == tables.SCHEMA_VERSION
     except StorageError as error:
         if "not a database" in str(error):
             problem = f"{store.label} is not a database; it is left as it is"
+            raise ConfigurationError(source, key, problem) from error
+        if "malformed" in str(error):
+            problem = (
+                f"{error}; it is left as it is: put a copy from before in its place, or save what can be read "
+                'with sqlite3 OLD ".recover" | sqlite3 NEW, or give another store'
+            )
             raise ConfigurationError(source, key, problem) from error
         raise
     with store._engine.connect() as connection:
@@ -224,6 +234,22 @@ def _adopt(store: Store, source: str, key: str) -> None:
             migrations.create(connection)
         elif version < tables.SCHEMA_VERSION:
             migrations.migrate(connection, version)
+
+
+def _check(store: Store) -> None:
+    """Read all of an SQLite file: damage is known before anything is written, and not when it is met.
+
+    Raises
+    ------
+    StorageError
+        If it is damaged.
+    """
+    if store._engine.dialect.name != "sqlite":
+        return
+    with store.read() as connection:
+        found = str(connection.exec_driver_sql("PRAGMA quick_check(1)").scalar_one())
+    if found != "ok":
+        raise StorageError(f"{store.label}: the database is malformed ({' '.join(found.split())})")
 
 
 def _version(connection: sa.Connection, source: str, key: str) -> int | None:
