@@ -102,6 +102,19 @@ def test_the_key_is_asked_for_once_and_kept_in_the_tab(browser, store):
         assert page.evaluate("() => localStorage.length + document.cookie.length") == 0
         page.get_by_role("link", name="Webhooks").click()
         expect(page.get_by_text("scope admin")).to_be_visible()
+        page.get_by_role("button", name="Change key").click()
+        expect(dialog.get_by_label("API key")).to_be_focused()
+
+
+def test_what_the_worker_has_not_done_yet_is_not_called_done(browser, store):
+    """The rig's worker lives but does not answer: the action is noted, the alarm still stands as it stood."""
+    with serving(create_app(store)) as client, visiting(browser, address(client)) as visit:
+        page = visit.go("#/alarms")
+        page.get_by_role("button", name="Acknowledge").click()
+        page.get_by_label("Your name").fill("A. Operator")
+        page.get_by_role("dialog").get_by_role("button", name="Acknowledge").click()
+        expect(page.get_by_text("to be acknowledged once its rig answers")).to_be_visible()
+        expect(page.get_by_role("cell", name="unacknowledged")).to_be_visible()
 
 
 def test_a_service_that_goes_away_is_said_and_comes_back(browser, store):

@@ -39,11 +39,13 @@ async function act(alarm, verb, { title, action, fields = [], body = () => ({}),
     async send(values) {
       localStorage.setItem(NAME, values.by);
       const asked = { by: values.by, comment: values.comment, ...body(values) };
-      return post(`${path("alarms", alarm.id)}/${verb}`, asked, { "If-Match": tag });
+      const headers = { "If-Match": tag };
+      return request(`${path("alarms", alarm.id)}/${verb}`, { method: "POST", body: asked, headers });
     },
   });
   if (!done) return;
-  toast(`Alarm of ${alarm.rig}, node ${alarm.node}: ${said}.`);
+  const noted = done.status === 202; // the worker of the rig does not answer at present
+  toast(`Alarm of ${alarm.rig}, node ${alarm.node}: ${noted ? `to be ${said} once its rig answers` : said}.`);
   await refreshAlarms();
 }
 

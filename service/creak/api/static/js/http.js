@@ -24,6 +24,7 @@ export class Unreachable extends Error {
 
 export const key = () => sessionStorage.getItem(KEY);
 
+/** Forgets the key, so that the next request asks for another one. */
 export function forgetKey() {
   sessionStorage.removeItem(KEY);
 }

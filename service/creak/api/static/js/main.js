@@ -3,7 +3,7 @@
 import { announce, askForKey } from "./dialogs.js";
 import { h, replace } from "./dom.js";
 import { clock, words } from "./format.js";
-import { Problem, askWith } from "./http.js";
+import { Problem, askWith, forgetKey, key } from "./http.js";
 import { hear, live, stale, start, subscribe } from "./live.js";
 import { resolve, route } from "./router.js";
 import { help, install } from "./shortcuts.js";
@@ -98,6 +98,7 @@ function showState() {
   const badge = document.getElementById("alarm-count");
   badge.hidden = !number;
   replace(badge, String(number), h("span", { class: "hidden" }, " to be acknowledged"));
+  document.getElementById("key").hidden = !key();
   const banner = document.getElementById("banner");
   const cut = !live.connected && live.since !== null;
   const since = live.since && clock(new Date(live.since).toISOString());
@@ -129,6 +130,10 @@ function nameTheme() {
 themeButton.addEventListener("click", turnTheme);
 nameTheme();
 document.getElementById("help").addEventListener("click", help);
+document.getElementById("key").addEventListener("click", () => {
+  forgetKey();
+  location.reload();
+});
 document.getElementById("skip").addEventListener("click", (event) => {
   event.preventDefault();
   main.querySelector("h1")?.focus();
