@@ -2,6 +2,7 @@
 
 import sqlite3
 import threading
+import uuid
 
 import pytest
 import sqlalchemy as sa
@@ -10,6 +11,8 @@ from sqlalchemy.dialects import postgresql
 from creak.errors import ConfigurationError, StorageError
 from creak.sinks import tables
 from creak.sinks.database import open_store
+from creak.sinks.operator_tables import leases
+from store_places import SERVER, place
 from store_records import fill_beam
 
 
@@ -127,3 +130,26 @@ def test_tables_can_be_made_on_postgresql():
         text = str(sa.schema.CreateTable(table).compile(dialect=dialect))
         assert "AUTOINCREMENT" not in text
     assert "BIGSERIAL" in str(sa.schema.CreateTable(tables.levels).compile(dialect=dialect))
+
+
+def test_a_database_without_an_encoding_is_used_as_any_other():
+    """SQL_ASCII, as of a server that was made without a locale: it answered in bytes."""
+    name = f"creak_{uuid.uuid4().hex}"
+    with place("postgresql", None):  # skips where there is no server
+        server = sa.create_engine(SERVER, isolation_level="AUTOCOMMIT")
+        with server.connect() as connection:
+            connection.exec_driver_sql(
+                f"CREATE DATABASE {name} ENCODING 'SQL_ASCII' LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0"
+            )
+        try:
+            url = sa.make_url(SERVER).set(database=name)
+            store = open_store(url.render_as_string(hide_password=False))
+            with store.write() as connection:
+                connection.execute(sa.insert(leases).values(name="x", owner="Gehäuse µ", until_at=1))
+            with store.read() as connection:
+                assert connection.execute(sa.select(leases.c.owner)).scalar_one() == "Gehäuse µ"
+            store.close()
+        finally:
+            with server.connect() as connection:
+                connection.exec_driver_sql(f"DROP DATABASE {name} WITH (FORCE)")
+            server.dispose()

@@ -144,7 +144,11 @@ def open_store(url: str, *, source: str = "store", key: str = "url") -> Store:
         if address.get_backend_name() == "sqlite":
             engine = _sqlite(address, source, key)
         else:
-            engine = sa.create_engine(address, pool_size=8, max_overflow=32, pool_pre_ping=True)
+            # Said, because a database without an encoding of its own (SQL_ASCII) would answer in bytes.
+            words = {"client_encoding": "utf8"}
+            engine = sa.create_engine(
+                address, pool_size=8, max_overflow=32, pool_pre_ping=True, connect_args=words
+            )
     except (ArgumentError, NoSuchModuleError, ImportError) as error:
         problem = f"not a store that can be used ({_reason(error)}); allowed are sqlite:///path and postgresql+psycopg://..."
         raise ConfigurationError(source, key, problem) from error
