@@ -172,6 +172,9 @@ def test_dashboards_use_the_data_sources_that_are_provisioned():
         assert len(cells) == len(set(cells))  # no panel hides another
         assert max(x for x, _ in cells) < 24
     assert len(uids) == len(DASHBOARDS)
+    home = COMPOSE["services"]["grafana"]["environment"]["GF_DASHBOARDS_DEFAULT_HOME_DASHBOARD_PATH"]
+    provider = yaml.safe_load((DEPLOY / "grafana/provisioning/dashboards/creak.yaml").read_text())["providers"][0]
+    assert home in {f"{provider['options']['path']}/{path.name}" for path in DASHBOARDS}
 
 
 def test_the_compose_file_is_one(tmp_path):

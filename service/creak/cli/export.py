@@ -55,7 +55,7 @@ def export(
             written, what = [output], f"{len(recording.levels.times)} windows"
         else:
             tell = scope.enter_context(progress())
-            found = _chosen(recording, first_realisation, last_realisation)
+            found = _chosen(recording, first_realisation, last_realisation, tell)
             if suffix == ".mat":
                 tell("writing", 0.5)
                 write_mat(scope.enter_context(whole_file(output)), found, recording)
@@ -69,9 +69,12 @@ def export(
     console().print(f"{names}: {what}", highlight=False, soft_wrap=True)
 
 
-def _chosen(recording: OpenedRecording, first: int | None, last: int | None) -> list[Experiment]:
+def _chosen(recording: OpenedRecording, first: int | None, last: int | None, tell: Tell) -> list[Experiment]:
     """Experiments that can be read back: those of complete realisations that lack no transient period either."""
-    found = list(recording.experiments(first, last))
+    found = []
+    for experiment in recording.experiments(first, last):
+        found.append(experiment)
+        tell(f"reading realisation {experiment.realisation}", 0.0)  # how many there are is known at the end
     torn = {e.realisation for e in found if np.isnat(e.times).any()}
     if torn:
         warn(f"{len(torn)} realisations are left out: a transient period of them is missing")
