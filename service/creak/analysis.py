@@ -19,9 +19,10 @@ from creak.digests import Outcome, summed
 from creak.errors import RecordingError
 from creak.judgement import Block
 from creak.monitor import Checkpoint, Monitor
-from creak.records import Complex, Estimate, Fault, FaultKind, Rig, Run
+from creak.records import AlarmChange, Complex, Estimate, Fault, FaultKind, Rig, Run
 from creak.sinks import actions, fleet
 from creak.sinks.actions import Asked
+from creak.sinks.alarm_rows import told_last
 from creak.sinks.database import Store
 from creak.sinks.fleet import Position
 from creak.sinks.store import StoreSink
@@ -261,7 +262,10 @@ class RigAnalysis:
         state = codec.encode(codec.Opening(replace(run, before=b""))), codec.packed(small)
         sums = self._changed_sums(position.blocks) if complete else {}
         whole = codec.packed(checkpoint.whole) if sums and checkpoint.whole is not None else None
-        with self._store.write() as connection:
+        # Effects and position come about together: what a power failure takes back is read from the stream anew.
+        # So the disk need not be waited for, except where somebody is told.
+        durable = answer is not None or any(isinstance(outcome, AlarmChange) for outcome in outcomes)
+        with self._store.write(durable) as connection, told_last(connection):
             fleet.keep(connection, name, self.epoch, position, *state)
             self._joined.connection = connection
             if opening:

@@ -2,7 +2,8 @@
 
 import json
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
 
@@ -16,6 +17,7 @@ KEEP_EVENTS = 10_000
 """How many events the stream can go back."""
 
 _PRUNE_EVERY = 256
+_WAITING = "creak_events_told_last"
 _FIELDS = tuple(AlarmChange.__dataclass_fields__)
 _COLUMNS = frozenset(tables.alarms.c.keys())
 
@@ -57,6 +59,30 @@ def tell(
 ) -> None:
     """Append to the event stream, in the same transaction as that which it tells of."""
     rows = [{"kind": kind, "rig": rig, "payload": text(payload)} for kind, payload in news]
+    waiting = connection.info.get(_WAITING)
+    if waiting is None:
+        _append(connection, rows, keep_events)
+    else:
+        waiting += rows
+
+
+@contextmanager
+def told_last(connection: sa.Connection, keep_events: int = KEEP_EVENTS) -> Iterator[None]:
+    """Append what is told within the block at its end, which is to be that of the transaction.
+
+    The counter of events is locked from its use to the end of the transaction, and all who write wait for it.
+    """
+    rows: list[dict[str, str]] = []
+    connection.info[_WAITING] = rows
+    try:
+        yield
+    finally:
+        del connection.info[_WAITING]
+    if rows:
+        _append(connection, rows, keep_events)
+
+
+def _append(connection: sa.Connection, rows: Sequence[Mapping[str, str]], keep_events: int) -> None:
     counter = tables.counters
     newest = int(
         connection.execute(
