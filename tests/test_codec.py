@@ -331,7 +331,7 @@ def test_alarm_has_the_keys_of_the_contract() -> None:
 
 
 def test_arrays_keep_their_order_in_memory_and_shared_ones_are_written_once(rng):
-    """Kills a restart that holds every matrix in another order than the loops want, and bytes written four times."""
+    """Kills a restart with every matrix in another order than the loops want, and bytes written four times."""
     lines_last = rng.standard_normal((2, 3, 50)).transpose(2, 0, 1)
     shared, seen = rng.standard_normal((50, 2, 3)) + 1j, rng.standard_normal((2, 50, 3)) + 0j
     sums = [Sums(1, 2, shared, lines_last, shared, shared, seen, shared) for _ in range(4)]

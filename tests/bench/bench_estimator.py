@@ -30,7 +30,7 @@ N, LINES, PERIODS, WINDOW = 16384, 2000, 3, 4
 
 
 def frames_of(rig, realisations, rng):
-    """Frames of a static linear structure, two realisations by turns; the cost does not depend on what they hold."""
+    """Frames of a static linear structure, two realisations by turns; what they hold does not matter."""
     A = np.eye(rig.n) + 0.1 * rng.standard_normal((rig.n, rig.n))
     frames = []
     for m in range(2):

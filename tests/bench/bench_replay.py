@@ -1,9 +1,10 @@
 """The rate of a replay beside that of the bare MCAP reader on the same bytes, and what recording costs.
 
-A beam rig (three nodes, periods of 16384 samples at 4096 Hz, three transient and three steady ones) is recorded with
-all that the monitor says of it. Then, by turns: the bare stream reader of the package ``mcap``, without and with its
-checks of checksums; the recording as a source (checksums, salvage, decoding); the whole replay, which reads ahead in
-a thread of its own. Rates count the bytes of the file; *cores* is processor time over time. Best of the repetitions.
+A beam rig (three nodes, periods of 16384 samples at 4096 Hz, three transient and three steady ones) is recorded
+with all that the monitor says of it. Then, by turns: the bare stream reader of the package ``mcap``, without and
+with its checks of checksums; the recording as a source (checksums, salvage, decoding); the whole replay, which
+reads ahead in a thread of its own. Rates count the bytes of the file; *cores* is processor time over time. Best of
+the repetitions.
 """
 
 import sys
