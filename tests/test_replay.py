@@ -4,6 +4,7 @@ import json
 import socket
 import sys
 import time
+from concurrent.futures import as_completed
 from dataclasses import replace
 from functools import partial
 from operator import add
@@ -187,6 +188,14 @@ def test_a_killed_worker_changes_no_bit(days, machines):
         assert exact(reduced(cluster, days, kill_one).block) == expected
         assert finished == len(days)
         assert cluster.threads == 1
+
+
+def test_a_cluster_is_an_executor_too(machines):
+    """What blind trials are spread by; an answer belongs to its own question."""
+    with connected(machines.address) as cluster:
+        pool = cluster.executor()
+        asked = {pool.submit(pow, 3, n): n for n in range(20)}
+        assert {asked[done]: done.result() for done in as_completed(asked)} == {n: 3**n for n in range(20)}
 
 
 def test_the_command_gives_the_same_document(days, machines, capsys):

@@ -9,6 +9,7 @@ their receptance ``H = Bᵀ S B`` and the lines F of their forces. Taking an equ
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -88,17 +89,22 @@ class Problem:
         velocity = self.samples(self.jw * D)
         return self.samples(D), velocity if self.rate is None else velocity + self.rate[which]
 
+    @cached_property
+    def _laws(self) -> tuple[tuple[int, float, float], ...]:
+        return tuple((element.law, *element.constants()) for element in self.elements)
+
     def forces(self, d: Real, v: Real) -> Real:
         """Forces of the elements, ``(..., r, N)``."""
         out = np.empty_like(d)
-        for e, element in enumerate(self.elements):
-            out[..., e, :] = element.over_period(d[..., e, :], v[..., e, :])
+        for e, (law, p, q) in enumerate(self._laws):
+            rows = (np.ascontiguousarray(x[..., e, :]).reshape(-1, d.shape[-1]) for x in (d, v))
+            out[..., e, :] = laws.force_over_period(law, p, q, *rows).reshape(out[..., e, :].shape)
         return out
 
     @property
     def of_velocity(self) -> bool:
         """True if a law asks for the velocity."""
-        return any(element.law in laws.OF_VELOCITY for element in self.elements)
+        return any(law in laws.OF_VELOCITY for law, _, _ in self._laws)
 
     def seen(self, D: Complex, which: int) -> tuple[Real, Real]:
         """Displacement and velocity over a period, the latter zero where no law asks for it."""
