@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 import yaml
+from grafana_foundation_sdk.cog.encoder import JSONEncoder
+from grafana_foundation_sdk.cog.plugins import register_default_plugins
+from grafana_foundation_sdk.models.dashboard import Dashboard
 from prometheus_client.parser import text_string_to_metric_families
 
 from api_client import get, serving
@@ -150,6 +153,26 @@ def test_rows_are_there_with_the_columns_that_are_shown(where, target, client):
         assert column["selector"] in rows[0]
         if column["type"] == "timestamp":
             assert rows[0][column["selector"]].endswith("Z")
+
+
+def lost(given, kept, where=""):
+    """Keys of a document that another does not have, and values that differ."""
+    if isinstance(given, dict):
+        for key, value in given.items():
+            yield from lost(value, kept[key], f"{where}.{key}") if key in kept else (f"{where}.{key}",)
+    elif isinstance(given, list):
+        for index, pair in enumerate(zip(given, kept, strict=True)):
+            yield from lost(*pair, f"{where}[{index}]")
+    elif given != kept:
+        yield where
+
+
+@pytest.mark.parametrize("path", DASHBOARDS, ids=lambda path: path.stem)
+def test_dashboards_are_understood_by_grafanas_own_schema(path):
+    """Read and written again by Grafana's library, which drops what Grafana does not know."""
+    register_default_plugins()
+    dashboard = json.loads(path.read_text())
+    assert list(lost(dashboard, json.loads(JSONEncoder().encode(Dashboard.from_json(dashboard))))) == []
 
 
 def test_dashboards_use_the_data_sources_that_are_provisioned():
