@@ -14,7 +14,7 @@ from creak.records import Scope
 from creak.sinks.database import Store
 
 _MEANINGS = {
-    400: "The path cannot be read.",
+    400: "The path or the body cannot be read.",
     401: "A key is needed, or the one given is none.",
     403: "The key's scope is too small, or a page of another site asks.",
     404: "There is no such thing.",

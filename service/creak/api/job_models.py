@@ -6,22 +6,31 @@ from pydantic import ConfigDict, Field
 
 from creak.api.models import Answer, Page
 
+_LINE = r"^[^\x00-\x1f\x7f]*$"
+
 
 class DiagnosisRequest(Answer):
     """What is to be diagnosed: a recording, or an alarm, which stands for the stretch in which it was raised."""
 
     model_config = ConfigDict(
         extra="forbid",
+        strict=True,
         json_schema_extra={"examples": [{"recording": "beam-20260501T080000Z-000"}, {"alarm": "9f3c1b6e"}]},
     )
-    recording: str | None = Field(default=None, max_length=200, description="Id of a recording.")
-    alarm: str | None = Field(default=None, max_length=200, description="Id of an alarm.")
-    model: str | None = Field(default=None, max_length=4000, description="The rig's model, which is the default.")
-    validation: str | None = Field(
-        default=None, alias="validate", max_length=200, description="Id of a recording at another amplitude."
+    recording: str | None = Field(default=None, max_length=200, pattern=_LINE, description="Id of a recording.")
+    alarm: str | None = Field(default=None, max_length=200, pattern=_LINE, description="Id of an alarm.")
+    model: str | None = Field(
+        default=None, max_length=4000, pattern=_LINE, description="The rig's model, which is the default."
     )
-    first_realisation: int | None = Field(default=None, ge=0, description="First that counts, from 0.")
-    last_realisation: int | None = Field(default=None, ge=0, description="Last that counts.")
+    validation: str | None = Field(
+        default=None,
+        alias="validate",
+        max_length=200,
+        pattern=_LINE,
+        description="Id of a recording at another amplitude.",
+    )
+    first_realisation: int | None = Field(default=None, ge=0, lt=2**31, description="First that counts, from 0.")
+    last_realisation: int | None = Field(default=None, ge=0, lt=2**31, description="Last that counts.")
 
 
 DiagnosisRequest.example = {"alarm": "9f3c1b6e"}
