@@ -22,7 +22,8 @@ class Block:
     sums : Sums
         At the excited lines.
     excited, left_out : LineSums
-        Powers of the responses at the excited lines and at the detection lines.
+        Powers of the responses at the excited lines and at the detection lines; both empty where the grid leaves
+        no lines out, as nothing is to be compared then.
     """
 
     sums: Sums
@@ -32,15 +33,18 @@ class Block:
     @classmethod
     def of(cls, realisation: Realisation, inputs: int) -> "Block":
         """Sums of one realisation."""
+        left_out = realisation.left_out
+        excited = realisation.spectra if left_out.size else left_out
         return cls(
             sums=Sums.of(realisation.spectra, inputs, S=realisation.S),
-            excited=LineSums.of(realisation.spectra[..., inputs:]),
-            left_out=LineSums.of(realisation.left_out[..., inputs:]),
+            excited=LineSums.of(excited[..., inputs:]),
+            left_out=LineSums.of(left_out[..., inputs:]),
         )
 
     def __add__(self, other: "Block") -> "Block":
         """Sums of both operands' realisations together."""
-        return Block(self.sums + other.sums, self.excited + other.excited, self.left_out + other.left_out)
+        excited = self.excited + other.excited if self.left_out.mean.size else self.excited
+        return Block(self.sums + other.sums, excited, self.left_out + other.left_out)
 
     def about(self, about: Complex) -> "Block":
         """Express the same with residuals about another matrix, ``(F, n, q)``."""
