@@ -49,7 +49,8 @@ class Visit:
         self.page.on("dialog", lambda dialog: (self.complaints.append(dialog.message), dialog.dismiss()))
 
     def go(self, view=""):
-        """Open a view by its hash."""
+        """Open a view by its hash, on a fresh page: what is seen is not of the view before."""
+        self.page.goto("about:blank")
         self.page.goto(f"{self.address}/{view}")
         return self.page
 

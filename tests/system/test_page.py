@@ -182,8 +182,8 @@ def test_a_tablet_shows_it_without_scrolling_sideways(browser, demo):
             visit.page.set_viewport_size({"width": width, "height": 1000})
             for view in ("", "#/rigs/beam", "#/rigs/beam/nodes/3", "#/alarms", "#/recordings"):
                 page = visit.go(view)
-                expect(page.locator(".card").first).to_be_visible()
-                page.wait_for_timeout(100)
+                expect(page.locator("h1")).to_be_visible()
+                expect(page.locator(".card, .tile").first).to_be_visible()
                 assert page.evaluate("() => document.documentElement.scrollWidth") <= width, view
                 small = page.locator("button:visible, nav a:visible").evaluate_all(
                     "(all) => all.filter((e) => e.getBoundingClientRect().height < 40).map((e) => e.textContent)"
