@@ -5,16 +5,13 @@ linear: a single one misses. Here the regression is repeated from where the last
 place left free, so that no law need be known yet.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from creak.errors import ConfigurationError
 from creak.gap.hypothesis import Hypothesis, apply, own_elements
-from creak.gap.periodic import PeriodicData
-from creak.gap.refine import Setting
 from creak.gap.regression import Indices, LinearKey, Sums
+from creak.gap.setting import Setting
 from creak.gap.view import see
 from creak.records import Real
 
@@ -88,7 +85,7 @@ def _sums(setting: Setting, changes: dict[LinearKey, float], experiments: Indice
     """Sums seen through the changed model; None where it cannot be."""
     try:
         model = apply(setting.model, Hypothesis(linear=tuple(changes.items())))
-        view = see(setting.rig, model, _of(setting.data, experiments), setting.top)
+        view = see(setting.rig, model, setting.data.of(experiments), setting.top)
     except ConfigurationError:
         return None
     every = np.arange(len(experiments))
@@ -106,13 +103,3 @@ def _fit(sums: Sums, place: tuple[str, tuple[str, ...]] | None, free: NDArray[np
     if place is None:
         return sums.fit((), free).linear
     return sums.fit_beside_free_force(sums.view.pattern(place[1], place[0])[..., None], free)[1]
-
-
-def _of(data: PeriodicData, experiments: Indices) -> PeriodicData:
-    return replace(
-        data,
-        realisation=data.realisation[experiments],
-        u=data.u[experiments],
-        y=data.y[experiments],
-        Y=data.Y[experiments],
-    )

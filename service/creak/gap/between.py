@@ -15,9 +15,10 @@ from creak.errors import ConfigurationError
 from creak.gap.hidden import Place, Profile, extended, finest, intervals, profile, with_station
 from creak.gap.hypothesis import Hypothesis
 from creak.gap.records import MissingForce
-from creak.gap.refine import Refined, Setting, refine, vector, with_vector
+from creak.gap.refine import Refined, refine, vector, with_vector
 from creak.gap.regression import Indices
 from creak.gap.scan import Scan
+from creak.gap.setting import Setting
 from creak.gap.view import View, see
 from creak.mechanics.beam import Beam
 from creak.mechanics.effects import GROUND, Effect

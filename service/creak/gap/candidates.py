@@ -5,7 +5,7 @@ velocity, a limit ...) is searched on a logarithmic grid first and optimised the
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -47,6 +47,9 @@ SMALLEST: Final = 0.002
 _LEAST_GAIN: Final = 0.02
 
 
+_BALANCED = 30  # steps to the mean of a motion
+
+
 @dataclass(frozen=True)
 class Candidate:
     """One effect at one place.
@@ -57,11 +60,14 @@ class Candidate:
     at : tuple of str
     group : str
         ``internal``, ``actuator`` or ``sensor``.
+    offset : array, (E,), optional
+        Mean displacement that the measured motion lacks, m.
     """
 
     kind: type[Effect]
     at: tuple[str, ...]
     group: str
+    offset: Real | None = field(default=None, compare=False)
 
     @property
     def parameters(self) -> int:
@@ -73,7 +79,7 @@ class Candidate:
         if self.kind in (CubicStiffness, QuadraticStiffness, QuadraticDamping, *LINEAR, ActuatorGain, SensorGain):
             return np.ones(1)
         if self.group == "internal":
-            d, v = relative(view, self.at, experiments)
+            d, v = self._motion(view, experiments)
             if self.kind is CoulombFriction:
                 return np.std(v) * np.geomspace(SMALLEST, 3.0, 14)
             if self.kind is Hysteresis:
@@ -100,24 +106,39 @@ class Candidate:
 
     def column(self, view: View, inner: float | Real, experiments: Indices) -> Column:
         """Column at an inner parameter; filled at the given experiments, zero elsewhere."""
-        if self.kind is Resonator:
-            own = view.s**2 * attached(view.s, *np.asarray(inner))
-            return Column(view.pattern((*self.at, GROUND), "internal"), own * (view.D @ view.weights(self.at)))
-        q = view.pattern(self.at, self.group)
-        inner = float(inner)
         phi = np.zeros((len(view.r), len(view.s)), dtype=np.complex128)
+        phi[experiments], fixed = self.forces(view, experiments)(inner)
+        return Column(self.pattern(view), phi, fixed)
+
+    def pattern(self, view: View) -> Complex:
+        """Whitened motion of the nodes per unit of its force, ``(L, n)``."""
+        at = (*self.at, GROUND) if self.kind is Resonator else self.at
+        return view.pattern(at, self.group)
+
+    def forces(self, view: View, experiments: Indices) -> Callable[[float | Real], tuple[Complex, bool]]:
+        """Lines ``(E, L)`` of its force as a function of the inner parameter, and whether its coefficient is 1."""
+        kept = len(view.s)
+        if self.kind is Resonator:
+            D = view.D[experiments] @ view.weights(self.at)
+            return lambda inner: (view.s**2 * attached(view.s, *np.asarray(inner)) * D, False)
         if self.group == "internal" and self.kind in LINEAR:
-            phi[:] = (view.D @ view.weights(self.at)) * view.s ** LINEAR[self.kind]
-            return Column(q, phi)
+            D = view.D[experiments] @ view.weights(self.at) * view.s ** LINEAR[self.kind]
+            return lambda inner: (D, False)
         if self.group == "internal":
-            d, v = relative(view, self.at, experiments)
-            law = self.unit(inner)
-            phi[experiments] = lines(law.over_period(d, v), len(view.s))
-            return Column(q, phi)
+            d, v = self._motion(view, experiments)
+            return lambda inner: (lines(self.unit(float(inner)).over_period(d, v), kept), False)
         samples = self._signal(view, experiments)
-        changed, fixed = _electronic(self.kind, samples, inner, view.rig.sample_rate)
-        phi[experiments] = lines(changed, len(view.s))
-        return Column(q, phi, fixed)
+
+        def electronic(inner: float | Real) -> tuple[Complex, bool]:
+            changed, fixed = _electronic(self.kind, samples, float(inner), view.rig.sample_rate)
+            return lines(changed, kept), fixed
+
+        return electronic
+
+    def _motion(self, view: View, experiments: Indices) -> tuple[Real, Real]:
+        """Relative displacement, mean included, and velocity, ``(E, N)``."""
+        d, v = relative(view, self.at, experiments)
+        return (d if self.offset is None else d + self.offset[experiments, None]), v
 
     def _signal(self, view: View, experiments: Indices) -> Real:
         """Input or response that an actuator or sensor effect acts on, ``(E, N)``."""
@@ -172,6 +193,32 @@ def relative(view: View, at: tuple[str, ...], experiments: Indices) -> tuple[Rea
     return np.einsum("n,ent->et", b, view.d[experiments]), np.einsum("n,ent->et", b, view.v[experiments])
 
 
+def resting(view: View, at: tuple[str, ...], law: Restoring, compliance: float) -> Real:
+    """Mean displacement at which a law's mean force and the structure's static stiffness balance, ``(E,)``.
+
+    Parameters
+    ----------
+    view : View
+    at : tuple of str
+    law : Restoring
+        With coefficient 1.
+    compliance : float
+        Static displacement per unit of the law's force.
+    """
+    d, v = relative(view, at, np.arange(len(view.r)))
+    mean = np.zeros(len(d))
+    h = 1e-4 * float(np.std(d))
+    for _ in range(_BALANCED):
+        force, moved = (np.mean(law.over_period(d + (mean + x)[:, None], v), axis=-1) for x in (0.0, h))
+        # Never more than twice a plain step: a spring that pushes away could turn the slope round.
+        slope = np.maximum(1.0 + compliance * (moved - force) / h, 0.5)
+        step = (mean + compliance * force) / slope
+        mean = mean - step
+        if np.max(np.abs(step)) <= 1e-6 * np.std(d):
+            break
+    return mean
+
+
 def _electronic(kind: type[Effect], samples: Real, inner: float, rate: float) -> tuple[Real, bool]:
     """What the simulator has too much of, when the effect is there: before minus after (actuator).
 
@@ -198,6 +245,8 @@ def _electronic(kind: type[Effect], samples: Real, inner: float, rate: float) ->
     return samples - unit, False
 
 
+EVEN: Final[tuple[type[Effect], ...]] = (QuadraticStiffness, OneSidedStop)
+"""Laws whose force has a mean that moves the structure."""
 INTERNAL: Final[tuple[type[Effect], ...]] = (
     CubicStiffness,
     QuadraticStiffness,
@@ -234,24 +283,23 @@ def places(view: View) -> list[tuple[str, tuple[str, ...]]]:
     return found + [("sensor", (name,)) for name in view.names]
 
 
-Score = Callable[[Column], float]
+Score = Callable[[Complex, bool], float]
+"""What a force leaves, from its lines at the experiments of the search and whether its coefficient is 1."""
 
 
 def optimise(candidate: Candidate, view: View, experiments: Indices, score: Score) -> float | Real:
     """Inner parameter with the least score: the best of the grid, then Brent's method around it."""
+    forces = candidate.forces(view, experiments)
     if candidate.kind is Resonator:
-        return _resonance(candidate, view, experiments, score)
+        return _resonance(view, lambda inner: score(*forces(inner)))
     grid = candidate.grid(view, experiments)
     if len(grid) == 1:
         return float(grid[0])
-    if candidate.kind is SensorQuantisation:  # its score is rough: one experiment finds the step, then the rest
-        scores = [score(candidate.column(view, x, experiments[:1])) for x in grid]
-    else:
-        scores = [score(candidate.column(view, x, experiments)) for x in grid]
+    scores = [score(*forces(float(x))) for x in grid]
     best = int(np.argmin(scores))
     low, high = sorted((float(grid[max(best - 1, 0)]), float(grid[min(best + 1, len(grid) - 1)])))
     result = minimize_scalar(
-        lambda x: score(candidate.column(view, x, experiments)),
+        lambda x: score(*forces(x)),
         bounds=(low, high),
         method="bounded",
         options={"xatol": 1e-4 * (high - low), "maxiter": 18},
@@ -259,17 +307,17 @@ def optimise(candidate: Candidate, view: View, experiments: Indices, score: Scor
     return float(result.x) if result.fun < scores[best] else float(grid[best])
 
 
-def _resonance(candidate: Candidate, view: View, experiments: Indices, score: Score) -> Real:
+def _resonance(view: View, score: Callable[[Real], float]) -> Real:
     """Frequency and damping ratio of a resonator: the best of a grid, then the simplex method."""
     rig = view.rig
     resolution = rig.sample_rate / rig.period_samples
     low, high = 0.7 * max(rig.lines[0], 2) * resolution, 1.4 * rig.lines[-1] * resolution
-    grid = [(f, z) for z in (0.003, 0.01, 0.03, 0.1, 0.3) for f in np.geomspace(low, high, 48)]
-    scores = [score(candidate.column(view, np.array(point), experiments)) for point in grid]
+    grid = [np.array((f, z)) for z in (0.003, 0.01, 0.03, 0.1, 0.3) for f in np.geomspace(low, high, 48)]
+    scores = [score(point) for point in grid]
     found = []
     for best in np.argsort(scores)[:2]:
         result = minimize(
-            lambda x: score(candidate.column(view, np.exp(x), experiments)),
+            lambda x: score(np.exp(x)),
             np.log(grid[best]),
             method="Nelder-Mead",
             options={"xatol": 1e-4, "fatol": 1e-6 * scores[best], "maxfev": 80},

@@ -14,9 +14,10 @@ from creak.gap.levels import Division, Level, band_shares, db, divide, gap_level
 from creak.gap.periodic import PeriodicData
 from creak.gap.records import Cause, Diagnosis, MissingForce, Validation, Verdict
 from creak.gap.reference import seen_by, shared_errors, widened
-from creak.gap.refine import Refined, Setting, refine
+from creak.gap.refine import Refined, conclude, refine
 from creak.gap.regression import Indices
 from creak.gap.search import Ranked, Search, Searched
+from creak.gap.setting import Setting
 from creak.gap.verdict import CLOSED, WITHIN_DB, as_causes, as_corrections, judge, probabilities
 from creak.gap.view import check_stable, hold_factor, lines_of
 from creak.mechanics.structure import Matrices
@@ -26,8 +27,6 @@ from creak.records import Rig
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done, 0 to 1."""
-
-_STEPS_FINAL = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,8 +217,9 @@ def _where(
 
 
 def _final(setting: Setting, refined: Refined, halves: _Halves) -> Refined:
-    """Fit once more, to all experiments that may be fitted."""
-    final = refine(setting, refined.hypothesis, halves.fitted, halves.held[:6], _STEPS_FINAL)
+    """Fit to the end, to all experiments that may be fitted."""
+    whole = as_corrections(refined.hypothesis)
+    final = conclude(setting, refined.hypothesis, halves.fitted, halves.held[:6], whole=whole)
     return final if final.settled else refined
 
 

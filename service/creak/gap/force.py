@@ -9,9 +9,9 @@ from creak.gap.candidates import group_of
 from creak.gap.hidden import see_beyond
 from creak.gap.hypothesis import Hypothesis, apply
 from creak.gap.records import ForceCurve, MissingForce, Pattern
-from creak.gap.refine import Setting
 from creak.gap.regression import LINEAR, Indices, LinearKey
 from creak.gap.scan import strongest_lines
+from creak.gap.setting import Setting
 from creak.gap.view import View
 from creak.mechanics.effects import GROUND, Damping, Effect, Mass, Restoring, Stiffness
 from creak.mechanics.electronics import Electronic
@@ -131,7 +131,7 @@ def force_curves(
             hypothesis.dropped,
         )
         model = apply(setting.model, others)
-        data = replace(setting.data, u=setting.data.u[one], y=setting.data.y[one], Y=setting.data.Y[one])
+        data = setting.data.of(one)
         view = see_beyond(replace(setting, model=model, data=data), [place.at])
         group = place.pattern if place.pattern in ("actuator", "sensor") else "internal"
         pattern = view.pattern(place.at, group)

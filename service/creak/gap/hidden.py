@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from creak.gap.refine import Setting
 from creak.gap.regression import Indices
+from creak.gap.setting import Setting
 from creak.gap.view import View, lines_of, samples_of, see
 from creak.mechanics.beam import Beam, Station
 from creak.mechanics.effects import GROUND

@@ -1,7 +1,7 @@
 """Complete realisations of a recording with all their lines, as a diagnosis needs them."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.fft
@@ -51,6 +51,16 @@ class PeriodicData:
     def counts(self) -> NDArray[np.bool_]:
         """Lines that count, ``(L,)``."""
         return np.asarray(np.isfinite(self.variance).all(axis=1))
+
+    def of(self, experiments: np.ndarray[tuple[int], np.dtype[np.int64]]) -> "PeriodicData":
+        """Some of the experiments, under the noise that all of them have told."""
+        return replace(
+            self,
+            realisation=self.realisation[experiments],
+            u=self.u[experiments],
+            y=self.y[experiments],
+            Y=self.Y[experiments],
+        )
 
 
 _FEWEST_DEGREES = 24  # below this the noise of neighbouring lines is pooled: a few periods give no weight

@@ -4,81 +4,28 @@ The regression takes the laws at the measured motion, whose noise biases it; her
 estimate is that of maximum likelihood for white noise between lines, and its Jacobian gives the standard errors.
 """
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from creak.errors import ConfigurationError, SimulationError
-from creak.gap.hypothesis import Hypothesis, apply
-from creak.gap.periodic import PeriodicData
-from creak.gap.properties import stiffness_change
-from creak.gap.regression import LINEAR, Indices
+from creak.gap.hypothesis import Hypothesis, own_elements
+from creak.gap.regression import Indices
+from creak.gap.rounding import before_rounding, quantised, settle_step
+from creak.gap.setting import TOLERANCE, Setting
 from creak.gap.view import lines_of
-from creak.mechanics.effects import GROUND, Clearance, CoulombFriction, Effect, Hysteresis, OneSidedStop
+from creak.mechanics.effects import Damping, Effect, Mass, Stiffness
 from creak.mechanics.electronics import ActuatorHysteresis
-from creak.mechanics.steady import SteadyState, simulate_steady
-from creak.mechanics.system import Model, System, assemble
-from creak.records import Complex, Real, Rig
+from creak.mechanics.sensitivity import Neighbours, sensitivities
+from creak.mechanics.steady import MOST_SAMPLES, SteadyState
+from creak.mechanics.system import System
+from creak.records import Complex, Real
 
-_POINTS = (((CoulombFriction, Hysteresis), 16384), ((Clearance, OneSidedStop), 8192))
-"""Points a period that a law needs; the others are smooth and do with 4096."""
-
-_TOLERANCE = 1e-6
-_STEP = 1e-3  # of a parameter, for difference quotients
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """What is fitted to what.
-
-    Parameters
-    ----------
-    rig, model, data : Rig, Model, PeriodicData
-    top : int
-        Lines that count, from DC on.
-    """
-
-    rig: Rig
-    model: Model
-    data: PeriodicData
-    top: int
-
-    def system(self, hypothesis: Hypothesis) -> System:
-        """Assemble the model with a hypothesis in it."""
-        return assemble(apply(self.model, hypothesis), self.rig)
-
-    def simulate(
-        self,
-        hypothesis: Hypothesis,
-        experiments: Indices,
-        guess: Real | None = None,
-        oversampling: int | None = None,
-    ) -> SteadyState:
-        """Steady state of experiments."""
-        return simulate_steady(
-            self.system(hypothesis),
-            self.data.u[experiments],
-            self.rig.sample_rate,
-            self.rig.hold,
-            guess=guess,
-            oversampling=oversampling or self.samples_a_sample(hypothesis),
-            tolerance=_TOLERANCE,
-        )
-
-    def samples_a_sample(self, hypothesis: Hypothesis) -> int:
-        """Samples of the elements a sample of the rig, so that folded harmonics lie below usual noise."""
-        elements = self.system(hypothesis).elements
-        if not elements:
-            return 1
-        wanted = max(next((size for kinds, size in _POINTS if isinstance(e, kinds)), 4096) for e in elements)
-        return 1 << max(0, math.ceil(math.log2(wanted / self.rig.period_samples)))
-
-    def residual(self, y: Real, experiments: Indices, top: int | None) -> Complex:
-        """Whitened difference of simulated and measured motion, ``(E, top, n)``."""
-        Y = lines_of(y)[:, :top]
-        mean = self.data.Y[experiments][:, :top]
-        return np.asarray((Y - mean) / np.sqrt(self.data.variance[:top]))
+FINE = 1e-9
+_STEP = 1e-4  # of a parameter, for difference quotients
+_MOVED = 10.0  # gain of a step in the log likelihood after which its Jacobian is taken anew
+_GAINED = 0.02  # below which a step is the last
+_COARSE = 4096  # points a period at which tangents are taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +51,7 @@ class Refined:
     held: float
     settled: bool
     guess: Real | None = field(default=None, repr=False)
+    jacobian: Real | None = field(default=None, repr=False)
 
 
 def vector(hypothesis: Hypothesis) -> Real:
@@ -137,6 +85,8 @@ def refine(
     held: Indices,
     steps: int = 4,
     oversampling: int | None = None,
+    tolerance: float = TOLERANCE,
+    near: Refined | None = None,
 ) -> Refined:
     """Gauss-Newton steps from a hypothesis, damped if they do not pay.
 
@@ -151,57 +101,139 @@ def refine(
         At most so many.
     oversampling : int, optional
         Of the solver; by default as much as it needs.
+    tolerance : float
+        Of the solver.
+    near : Refined, optional
+        Fit to the same experiments from nearby, whose motion and Jacobian serve to begin with.
 
     Returns
     -------
     Refined
     """
     size = hypothesis.size
-    state = _solved(setting, hypothesis, fitted, None, oversampling)
+    state = _solved(setting, hypothesis, fitted, near.guess if near else None, oversampling, tolerance)
     if state is None:
         return Refined(hypothesis, np.full((size, size), np.nan), np.inf, np.inf, False)
     steady, r = state
-    cost = float(np.sum(np.abs(r) ** 2))
-    covariance = np.zeros((size, size))
+    cost = _cost(r)
+    jacobian = near.jacobian if near else None
+    covariance = np.zeros((size, size)) if jacobian is None else _inverse(jacobian @ jacobian.T)
+    gain = 0.0
     for _ in range(steps if size else 0):
-        jacobian = _jacobian(setting, hypothesis, fitted, steady, r)
-        gram = np.einsum("kx,jx->kj", jacobian, jacobian)
-        right = -jacobian @ _flat(r)
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        covariance = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(
-            scale, scale
-        )
-        step = covariance @ right
+        if gain > _MOVED or jacobian is None:
+            jacobian = _jacobian(setting, hypothesis, fitted, steady)
+            covariance = _inverse(jacobian @ jacobian.T)
+        step = covariance @ (-jacobian @ _flat(r))
         share, better = 1.0, None
         while share > 0.05:
             try:
                 trial = with_vector(hypothesis, _limited(hypothesis, vector(hypothesis), share * step))
-                better = _solved(setting, trial, fitted, steady.motion, steady.oversampling)
+                better = _solved(setting, trial, fitted, steady.motion, steady.oversampling, tolerance)
             except ConfigurationError:
                 better = None
-            if better is not None and float(np.sum(np.abs(better[1]) ** 2)) < cost * (1 + 1e-12):
+            if better is not None and _cost(better[1]) < cost * (1 + 1e-12):
                 break
             better, share = None, share / 3
         if better is None:
             break
-        gain = cost - float(np.sum(np.abs(better[1]) ** 2))
+        gain = cost - _cost(better[1])
         hypothesis, (steady, r), cost = trial, better, cost - gain
-        if gain < 0.02 and share == 1.0:
+        if gain < _GAINED and share == 1.0:
             break
     left = cost / r.size
-    aside = _solved(setting, hypothesis, held, None, steady.oversampling) if len(held) else (steady, r)
-    if aside is None:
-        return Refined(hypothesis, covariance / 2, left, np.inf, False)
+    aside = _solved(setting, hypothesis, held, None, steady.oversampling, tolerance) if len(held) else (steady, r)
+    apart = float(np.mean(np.abs(aside[1]) ** 2)) if aside is not None else np.inf
     # |r|^2 of a complex sample has mean 1, so real and imaginary part have variance 1/2.
-    return Refined(hypothesis, covariance / 2, left, float(np.mean(np.abs(aside[1]) ** 2)), True)
+    return Refined(hypothesis, covariance / 2, left, apart, aside is not None, steady.motion, jacobian)
+
+
+def conclude(setting: Setting, hypothesis: Hypothesis, fitted: Indices, held: Indices, *, whole: bool) -> Refined:
+    """Fit to the end: what is stated, and by how much it may be wrong.
+
+    The steady state is solved until neither its tolerance nor harmonics that fold may move a parameter by a
+    tenth of its standard error.
+
+    Parameters
+    ----------
+    setting : Setting
+    hypothesis : Hypothesis
+    fitted, held : array of int
+    whole : bool
+        Free all linear numbers that the model has. Where many had to move, all of them are uncertain, and one
+        that was left where it was because it nearly fits would bias the others and hide how uncertain they are.
+
+    Returns
+    -------
+    Refined
+        Its covariance allows for weights that are themselves estimated.
+    """
+    if whole:
+        had = {key for key, _ in hypothesis.linear}
+        more = tuple((own.key, 0.0) for own in own_elements(setting.model) if own.key not in had and own.value > 0)
+        hypothesis = replace(hypothesis, linear=(*hypothesis.linear, *more))
+    oversampling = setting.samples_a_sample(hypothesis)
+    refined = refine(setting, hypothesis, fitted, held, 5, oversampling, FINE)
+    while refined.settled and setting.system(hypothesis).elements and refined.hypothesis.size:
+        finer = 2 * oversampling
+        if finer * setting.rig.period_samples > MOST_SAMPLES:
+            break
+        again = refine(setting, refined.hypothesis, fitted, held, 2, finer, FINE, refined)
+        if not again.settled:
+            break
+        moved = vector(again.hypothesis) - vector(refined.hypothesis)
+        errors = np.sqrt(np.maximum(np.diag(again.covariance), 1e-300))
+        refined, oversampling = again, finer
+        if np.all(np.abs(moved) < 0.1 * errors):
+            break
+    refined = _rounded(setting, refined, fitted, held, oversampling)
+    # Weights that are estimated from nu degrees of freedom lose nu/(nu - 2) of what they seem to know, and
+    # what a fit leaves beyond noise counts as noise.
+    nu = setting.data.degrees
+    more_left = max(1.0, refined.left * (nu - 1) / nu)
+    return replace(refined, covariance=refined.covariance * (nu / (nu - 2)) * more_left)
+
+
+def _rounded(setting: Setting, refined: Refined, fitted: Indices, held: Indices, oversampling: int) -> Refined:
+    """Steps of quantised sensors found as such, in turn with all else."""
+    which = quantised(refined.hypothesis)
+    if not which or not refined.settled:
+        return refined
+    spreads = {}
+    for turn in range(2 if refined.hypothesis.size > 1 else 1):
+        hypothesis = refined.hypothesis
+        y = before_rounding(setting, hypothesis, fitted, oversampling)
+        for i in which:
+            hypothesis, spreads[i] = settle_step(setting, hypothesis, i, y, fitted)
+        refined = refine(setting, hypothesis, fitted, held, 0 if turn else 2, oversampling, FINE, refined)
+    covariance = refined.covariance.copy()
+    for i, spread in spreads.items():
+        at = sum(len(effect.parameter_names()) for effect in refined.hypothesis.effects[:i])
+        covariance[at, at] = spread**2
+    return replace(refined, covariance=covariance)
+
+
+def _cost(r: Complex) -> float:
+    return float(np.sum(np.abs(r) ** 2))
+
+
+def _inverse(gram: Real) -> Real:
+    """Inverse of a Gram matrix of rows of very unlike size; 0 along what the data do not hold."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    both = np.outer(scale, scale)
+    return np.asarray(np.linalg.pinv(gram / both, rcond=1e-12, hermitian=True) / both)
 
 
 def _solved(
-    setting: Setting, hypothesis: Hypothesis, experiments: Indices, guess: Real | None, oversampling: int | None
+    setting: Setting,
+    hypothesis: Hypothesis,
+    experiments: Indices,
+    guess: Real | None,
+    oversampling: int | None,
+    tolerance: float,
 ) -> tuple[SteadyState, Complex] | None:
     """Steady state and residual; None if it does not settle."""
     try:
-        steady = setting.simulate(hypothesis, experiments, guess, oversampling)
+        steady = setting.simulate(hypothesis, experiments, guess, oversampling, tolerance)
     except (SimulationError, ConfigurationError, np.linalg.LinAlgError):
         return None
     if not steady.settled:
@@ -229,59 +261,49 @@ def _limited(hypothesis: Hypothesis, values: Real, step: Real) -> Real:
     return moved
 
 
-def _jacobian(setting: Setting, hypothesis: Hypothesis, fitted: Indices, steady: SteadyState, r: Complex) -> Real:
-    """Derivatives of the residual, ``(K, 2 E top n)``: differences for effects, tangents for linear elements."""
-    values = vector(hypothesis)
-    own = len(values) - len(hypothesis.linear)
-    rows = []
-    for k in range(own):
-        h = _STEP * max(abs(values[k]), 1e-12)
-        changed = values.copy()
-        changed[k] += h
-        other = None
-        try:
-            other = _solved(setting, with_vector(hypothesis, changed), fitted, steady.motion, steady.oversampling)
-        except ConfigurationError:
-            changed[k] -= 2 * h
-            h = -h
-            other = _solved(setting, with_vector(hypothesis, changed), fitted, steady.motion, steady.oversampling)
-        rows.append(np.zeros(2 * r.size) if other is None else _flat((other[1] - r) / h))
-    if hypothesis.linear:
-        rows += [_flat(row) for row in _linear_rows(setting, hypothesis, steady)]
-    return np.array(rows)
+def _jacobian(setting: Setting, hypothesis: Hypothesis, fitted: Indices, steady: SteadyState) -> Real:
+    """Derivatives of the whitened residual, ``(K, 2 E top n)``."""
+    here = setting.system(hypothesis)
+    values, steps = vector(hypothesis), _steps(setting, hypothesis, here, steady)
+    pairs = []
+    for k, h in enumerate(steps):
+        ends, width = [], 0.0
+        for sign in (1.0, -1.0):
+            changed = values.copy()
+            changed[k] += sign * h
+            try:
+                ends.append(setting.system(with_vector(hypothesis, changed)))
+                width += h
+            except ConfigurationError:
+                ends.append(here)
+        pairs.append(Neighbours(ends[0], ends[1], max(width, 1e-300)))
+    data, rig, top = setting.data, setting.rig, setting.top
+    coarse = max(1, _COARSE // rig.period_samples)
+    sigma = np.sqrt(data.variance[:top])
+    found = sensitivities(here, steady, data.u[fitted], rig.sample_rate, rig.hold, pairs, coarse)
+    return np.array([_flat(lines_of(y)[:, :top] / sigma) for y in found])
 
 
-def _linear_rows(setting: Setting, hypothesis: Hypothesis, steady: SteadyState) -> list[Complex]:
-    """Derivatives to linear changes, the nonlinear elements replaced by their equivalent linear ones."""
-    system, rig, top = setting.system(hypothesis), setting.rig, setting.top
-    stiffness, damping = np.zeros(len(system.elements)), np.zeros(len(system.elements))
-    for i in range(len(system.elements)):
-        d, f = steady.motion[:, i], steady.force[:, i]
-        d = d - d.mean(axis=-1, keepdims=True)
-        rate = np.gradient(d, axis=-1) * (rig.sample_rate * steady.oversampling)
-        stiffness[i] = np.sum(f * d) / max(float(np.sum(d * d)), 1e-300)
-        damping[i] = np.sum(f * rate) / max(float(np.sum(rate**2)), 1e-300)
-    s: Complex = np.asarray(2j * np.pi * np.arange(top) * rig.sample_rate / rig.period_samples, np.complex128)
-    rows_at = {node.name: system.outputs[i] for i, node in enumerate(rig.nodes)}
-    equivalent = system.linearised(stiffness, damping)
-    receptance = equivalent.outputs @ equivalent.motion(np.abs(s) / (2 * np.pi), system.outputs.T)
-    order = np.array(system.derivatives)
-    differentiated = s[:, None] ** order
-    Y = lines_of(steady.y)[:, :top]
-    D = np.where(np.abs(differentiated) > 0, Y / np.where(differentiated == 0, 1.0, differentiated), 0.0)
-    names = list(rows_at)
-    sigma = np.sqrt(setting.data.variance[:top])
-    found = []
-    corrected = apply(setting.model, hypothesis)
-    for (kind, at), _ in hypothesis.linear:
-        if isinstance(kind, str):
-            force = np.matmul(stiffness_change(rig, corrected, kind, s), D[..., None])
-            found.append(-np.matmul(receptance, force)[..., 0] * differentiated / sigma)
-            continue
-        b = np.zeros(rig.n)
-        b[names.index(at[0])] = 1.0
-        if at[1] != GROUND:
-            b[names.index(at[1])] = -1.0
-        force = (D @ b) * s ** LINEAR[kind]
-        found.append(-((receptance @ b) * differentiated / sigma)[None] * force[..., None])
-    return found
+def _steps(setting: Setting, hypothesis: Hypothesis, system: System, steady: SteadyState) -> list[float]:
+    """Steps for difference quotients: a small part of every parameter, of its like in the model where it is 0."""
+    sizes = {
+        "gap": float(np.std(steady.motion)) if steady.motion.size else 1.0,
+        "delay": 1 / setting.rig.sample_rate,
+        "width": float(np.std(setting.data.u)),
+        "damping_ratio": 1.0,
+        "share": 1.0,
+    }
+    steps = [
+        _STEP * (abs(value) or sizes.get(name, 1.0))
+        for effect in hypothesis.effects
+        for name, value in effect.parameters().items()
+    ]
+    own = {item.key: item.value for item in own_elements(setting.model)}
+    middle = np.array([0.5 * (setting.rig.lines[0] + setting.rig.lines[-1]) * setting.rig.sample_rate])
+    middle /= setting.rig.period_samples
+    stiff = 1 / float(np.max(np.abs(system.outputs @ system.motion(middle, system.outputs.T))))
+    for key, change in hypothesis.linear:
+        order = {Stiffness: 0, Damping: 1, Mass: 2}.get(key[0], 0) if not isinstance(key[0], str) else 0
+        like = 1e-2 * stiff / (2 * np.pi * float(middle[0])) ** order
+        steps.append(_STEP * (own.get(key, 0.0) or abs(change) or like))
+    return steps

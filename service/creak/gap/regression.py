@@ -157,6 +157,37 @@ class Sums:
         linear[free] = theta[: int(free.sum())]
         return Fitted(linear, theta[int(free.sum()) :], float(left[0]), float(left[1]))
 
+    def along(self, q: Complex, free: NDArray[np.bool_], beside: Sequence[Column] = ()) -> "Along":
+        """Prepare to try many forces of one pattern, see `Along`."""
+        gram, right, power = self._system(0, beside, free)
+        fixed = np.array([False] * int(free.sum()) + [column.fixed for column in beside], dtype=bool)
+        chosen = self.sets[0]
+        target = np.einsum("ln,eln->el", q.conj(), self.view.r[chosen])
+        others = np.concatenate(
+            [
+                self._seen_along(0, q, free),
+                *(
+                    (np.einsum("ln,ln->l", q.conj(), column.q) * column.phi[chosen]).reshape(-1, 1)
+                    for column in beside
+                ),
+            ],
+            axis=1,
+        )
+        if fixed.any():
+            power = power - 2 * right[fixed].sum() + gram[np.ix_(fixed, fixed)].sum()
+            right = right - gram[:, fixed].sum(axis=1)
+            target = target - others[:, fixed].sum(axis=1).reshape(target.shape)
+        moving = ~fixed
+        return Along(
+            np.sum(np.abs(q) ** 2, axis=1),
+            target,
+            others[:, moving],
+            gram[np.ix_(moving, moving)],
+            right[moving],
+            power,
+            self.counts[0],
+        )
+
     def _system(self, which: int, columns: Sequence[Column], free: NDArray[np.bool_]) -> tuple[Real, Real, float]:
         """Normal equations of free linear elements, then columns."""
         chosen = self.sets[which]
@@ -186,8 +217,36 @@ class Sums:
             far = np.einsum("ln,elnp->elp", q.conj(), self.whole[chosen][..., bound])
             if len(self._along) >= _KEPT:
                 self._along.pop(next(iter(self._along)))
-            self._along[key] = np.concatenate([near, far], axis=-1).reshape(-1, int(free.sum()))
+            self._along[key] = np.concatenate([near, far], axis=-1).reshape(len(chosen) * len(q), int(free.sum()))
         return self._along[key]
+
+    def beside_free_forces(self, patterns: Complex) -> Real:
+        """Whitened power a complex sample that free forces at every two of some places leave, no element moved.
+
+        Parameters
+        ----------
+        patterns : array, (L, n, k)
+            Of the places.
+
+        Returns
+        -------
+        array, (k, k)
+            Relative to what is left to noise; on the diagonal that of one place.
+        """
+        n = patterns.shape[1]
+        unit = patterns / np.maximum(np.linalg.norm(patterns, axis=1, keepdims=True), 1e-300)
+        seen = np.matmul(unit.conj().transpose(0, 2, 1), self.view.r[self.sets[0]].transpose(1, 2, 0))  # (L, k, E)
+        power = np.matmul(seen, seen.conj().transpose(0, 2, 1))
+        alike = np.matmul(unit.conj().transpose(0, 2, 1), unit)
+        own = np.einsum("lii->li", power).real
+        apart = 1 - np.abs(alike) ** 2
+        both = own[:, :, None] + own[:, None, :] - 2 * (power * alike.conj()).real
+        # Two places of one pattern take what either does.
+        taken = np.sum(np.where(apart > 1e-6, both / np.maximum(apart, 1e-6), own[:, :, None]), axis=0)
+        np.fill_diagonal(taken, np.sum(own, axis=0))
+        samples = np.full(taken.shape, (n - 2) / n if n > 2 else np.nan)
+        np.fill_diagonal(samples, (n - 1) / n)
+        return np.asarray((self.power[0] - taken) / (self.counts[0] * samples))
 
     def beside_free_force(self, patterns: Complex, free: NDArray[np.bool_]) -> float:
         """Whitened power a complex sample that a free force per line and experiment leaves at a place.
@@ -232,6 +291,55 @@ class Sums:
             power += -2 * theta @ right + theta @ gram @ theta
             linear[free] = theta
         return float(power / (self.counts[0] * (n - k) / n)), linear
+
+
+class Along:
+    """What a force of one pattern leaves, beside terms that stay: tried in a few products a force.
+
+    Parameters
+    ----------
+    weight : array, (L,)
+        Power of the pattern.
+    target : array, (E, L)
+        Whitened motion seen along the pattern.
+    others : array, (E L, m)
+        Free terms seen along it.
+    gram, right : array, (m, m), (m,)
+        Normal equations of the free terms.
+    power : float
+        Of the whitened motion.
+    count : int
+        Samples.
+    """
+
+    def __init__(
+        self, weight: Real, target: Complex, others: Complex, gram: Real, right: Real, power: float, count: int
+    ) -> None:
+        self.weight, self.count = weight, count
+        self.target = np.ascontiguousarray(target).reshape(-1).view(np.float64)
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        values, vectors = np.linalg.eigh(gram / np.outer(scale, scale)) if len(gram) else (np.zeros(0), gram)
+        kept = values > 1e-10 * max(values[-1], 1e-300) if len(values) else np.zeros(0, dtype=bool)
+        root = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+        self.onto = root.T @ right
+        # Rows that are orthonormal beside one another, so that what they take of a force is a sum of squares.
+        self.rows = np.ascontiguousarray((others @ root).T).view(np.float64)
+        self.power = power - float(self.onto @ self.onto)
+
+    def left(self, phi: Complex, *, fixed: bool) -> float:
+        """Whitened power a complex sample that a force leaves, its coefficient fitted or 1.
+
+        Parameters
+        ----------
+        phi : array, (E, L)
+        fixed : bool
+        """
+        flat = np.ascontiguousarray(phi).reshape(-1).view(np.float64)
+        taken = self.rows @ flat
+        whole = float(np.sum(self.weight * (phi.real**2 + phi.imag**2)))
+        size = max(whole - float(taken @ taken), 1e-10 * whole, 1e-300)
+        along = float(flat @ self.target) - float(taken @ self.onto)
+        return (self.power + (size - 2 * along if fixed else -along * along / size)) / self.count
 
 
 def solve(gram: Real, right: Real, size: Real | None = None) -> Real:

@@ -4,21 +4,28 @@ They compete alone, in pairs, beside linear elements, or in place of an effect t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from creak.gap.candidates import Candidate, candidates_at, group_of, optimise, places
+from creak.gap.candidates import EVEN, Candidate, candidates_at, group_of, optimise, places, resting
 from creak.gap.hypothesis import Hypothesis
 from creak.gap.regression import LINEAR, Column, Indices, LinearKey, Sums
 from creak.gap.view import View
 from creak.mechanics.effects import GROUND, Effect, Resonator
+from creak.mechanics.electronics import SensorQuantisation
 from creak.records import Real
 
 _FAILED = 2.0  # whitened power beyond which a law has not explained a place, and a hidden mode is tried there
+_MEANS = 8  # turns in which an even law and the mean that it makes are found
 _SMALL = 6  # experiments on which inner parameters are searched
+
+
+Place = tuple[str, tuple[str, ...]]
+"""Group (``internal``, ``actuator`` or ``sensor``) and names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +63,7 @@ class Scan:
         few = fitted[:_SMALL]
         self.few = few
         self._small = Sums(view, few, few[:0])
+        self._single = Sums(view, few[:1], few[:0])
         self.all = np.arange(len(view.r))
 
     @property
@@ -75,11 +83,36 @@ class Scan:
         if n <= 1 + len(beside):
             return [(1.0, group, at) for group, at in places(self.view)]
         fixed = [self.view.pattern(at, group) for group, at in beside]
-        found = []
-        for group, at in places(self.view):
-            pattern = np.stack([*fixed, self.view.pattern(at, group)], axis=-1)
-            found.append((self.sums.beside_free_force(pattern, free) / self.floor, group, at))
-        return sorted(found, key=lambda item: item[0])
+        every = places(self.view)
+        if not beside and not free.any():
+            patterns = np.stack([self.view.pattern(at, group) for group, at in every], axis=-1)
+            left = np.diag(self._small.beside_free_forces(patterns)).tolist()
+        else:
+            known: dict[Place, float] = {}
+            for group, at in every:
+                # A free force at most actuators is one between their node and the ground.
+                twin = (
+                    ("internal", (*at, GROUND)) if group == "actuator" and self._drives_its_node(at[0]) else None
+                )
+                patterns = np.stack([*fixed, self.view.pattern(at, group)], axis=-1)
+                known[group, at] = known[twin] if twin else self._small.beside_free_force(patterns, free)
+            left = list(known.values())
+        return sorted(((rest / self.floor, *place) for rest, place in zip(left, every, strict=True)), key=_rest)
+
+    def _drives_its_node(self, name: str) -> bool:
+        """Whether an actuator acts on the coordinates as a force at its node does."""
+        system = self.view.system
+        load = system.inputs[:, self.view.rig.driven.index(self.view.names.index(name))]
+        row = system.points[name]
+        return bool(np.allclose(load * np.linalg.norm(row), row * np.linalg.norm(load)))
+
+    def place_pairs(self) -> list[tuple[float, Place, Place]]:
+        """Pairs of places by what free forces at both leave relative to noise, the best first; 3 nodes or more."""
+        every = places(self.view)
+        patterns = np.stack([self.view.pattern(at, group) for group, at in every], axis=-1)
+        left = self._small.beside_free_forces(patterns) / self.floor
+        found = [(float(left[i, j]), every[i], every[j]) for i in range(len(every)) for j in range(i)]
+        return sorted(found, key=_rest)
 
     def trials(
         self,
@@ -108,15 +141,40 @@ class Scan:
 
     def trial(self, candidate: Candidate, free: NDArray[np.bool_], beside: Sequence[Column] = ()) -> Trial:
         """One candidate with its inner parameter optimised."""
+        if candidate.kind in EVEN and not self.view.shows_mean(candidate.at):
+            return self._trial_about_mean(candidate, free, beside)
+        return self._trial(candidate, free, beside)
 
-        def score(column: Column) -> float:
-            return self._small.fit([*beside, column], free).left
-
-        inner = optimise(candidate, self.view, self.few, score)
+    def _trial(self, candidate: Candidate, free: NDArray[np.bool_], beside: Sequence[Column]) -> Trial:
+        if (
+            candidate.kind is SensorQuantisation
+        ):  # its score is rough: one experiment finds the step, then the rest
+            along, few = self._single.along(candidate.pattern(self.view), free, beside), self.few[:1]
+        else:
+            along, few = self._small.along(candidate.pattern(self.view), free, beside), self.few
+        inner = optimise(candidate, self.view, few, lambda phi, fixed: along.left(phi, fixed=fixed))
         column = candidate.column(self.view, inner, self.all)
         fit = self.sums.fit([*beside, column], free)
         possible = candidate.effect(float(fit.own[-1]), inner) is not None
         return Trial(candidate, inner, column, fit.held / self.floor if possible else np.inf)
+
+    def _trial_about_mean(self, candidate: Candidate, free: NDArray[np.bool_], beside: Sequence[Column]) -> Trial:
+        """An even law under velocities or accelerations, which do not show the mean that it makes.
+
+        The mean follows from the law and the structure's static compliance, so that both are found in turn.
+        """
+        best = self._trial(candidate, free, beside)
+        for _ in range(_MEANS):
+            coefficient = float(self.sums.fit([*beside, best.column], free).own[-1])
+            law = best.candidate.unit(float(np.asarray(best.inner)))
+            offset = resting(self.view, candidate.at, law, coefficient * self.view.static(candidate.at))
+            trial = self._trial(replace(candidate, offset=offset), free, beside)
+            if not trial.rest < best.rest:
+                break
+            gain, best = best.rest - trial.rest, trial
+            if gain < 1e-3 * best.rest:
+                break
+        return best
 
     def hypothesis(self, trials: Sequence[Trial], free: NDArray[np.bool_], dropped: tuple[int, ...] = ()) -> Found:
         """Trials together, their coefficients fitted jointly, beside linear elements."""
@@ -182,6 +240,10 @@ class Scan:
         mask = self.none
         mask[[chosen[k] for k in keep if k < m]] = True
         return mask
+
+
+def _rest(item: tuple[Any, ...]) -> float:
+    return float(item[0])
 
 
 def _massless(candidate: Candidate) -> bool:

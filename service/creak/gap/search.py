@@ -1,6 +1,6 @@
 """From one recording and one model to the hypothesis that explains the gap, simplest first."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,9 +11,10 @@ from creak.gap.approach import approach
 from creak.gap.growth import grown
 from creak.gap.hypothesis import Hypothesis, apply, own_elements, plausible
 from creak.gap.properties import properties_of
-from creak.gap.refine import Refined, Setting, refine
-from creak.gap.regression import Indices
+from creak.gap.refine import Refined, refine
+from creak.gap.regression import Indices, LinearKey
 from creak.gap.scan import Found, Scan, Trial, combos, replacement
+from creak.gap.setting import Setting
 from creak.gap.view import see
 from creak.mechanics.effects import GROUND, Resonator, Restoring
 from creak.mechanics.electronics import Electronic
@@ -21,13 +22,17 @@ from creak.mechanics.electronics import Electronic
 Report = Callable[[str, float], None]
 
 CLOSED = 5e-3  # of the excess over noise that an explanation may leave
-FLOOR = 1.08  # times noise that it may leave
+FLOOR = 1.12  # times noise that it may leave
+FEW = 2  # linear changes that are causes like any other
 _FEW = 4  # experiments on which hypotheses compete
 _PLACES = 4  # best places at which laws are tried
-_HOPELESS = 1e-3  # of the excess: what a regression may leave and its output-error fit still reach noise
+_HOPELESS = 5e-3  # of the excess: what a regression may leave and its output-error fit still reach noise
 _MATTERS = 25.0  # twice the log likelihood that a linear element must bring
 _ONE_PLACE = 1.15  # what a free force leaves at most at the only place where something acts
 _MANY = 4.0  # and beyond which no single place is worth a law
+_SCANNED = 12  # experiments on which regressions are taken
+_DEAF = 1e12  # by which the noise of a node is raised that is not to count
+_STEPS_DEAF = 8
 _COMPETING = 4  # best regressions that are fitted to the output
 
 
@@ -81,9 +86,10 @@ class Search:
         self.setting, self.fitted, self.held, self.report = setting, fitted, held, report
         degrees = setting.data.degrees
         self.floor = degrees / (degrees - 1)
-        self.few = fitted[np.linspace(0, len(fitted) - 1, min(_FEW, len(fitted))).astype(int)]
+        self.few = spread(fitted, _FEW)
         self.aside = held[: _FEW - 1] if len(held) else self.few
         self.before = self.scan(setting).rest()
+        self.own: NDArray[np.bool_] = np.zeros(0, dtype=bool)
         self._placed_beside_linear: list[tuple[float, str, tuple[str, ...]]] = []
 
     def run(self) -> Searched:
@@ -135,9 +141,12 @@ class Search:
         return bool(stage) and self.explains(stage[0].refined)
 
     def scan(self, setting: Setting) -> Scan:
-        """Look at the recording through a setting's model."""
-        view = see(setting.rig, setting.model, setting.data, setting.top)
-        return Scan(view, self.fitted, self.held, self.floor)
+        """Regressions on as many experiments as they need; the output-error fits take more."""
+        fitted, held = spread(self.fitted, _SCANNED), spread(self.held, _SCANNED // 2)
+        data = setting.data.of(np.concatenate([fitted, held]))
+        view = see(setting.rig, setting.model, data, setting.top)
+        every = np.arange(len(data.u))
+        return Scan(view, every[: len(fitted)], every[len(fitted) :], self.floor)
 
     def _singles(
         self,
@@ -170,30 +179,71 @@ class Search:
     def _beside_linear(self) -> tuple[Ranked, ...]:
         """Linear elements alone, and one effect beside them; whitened anew with the corrected linear part."""
         scan = self.scan(self.setting)
-        keys = {own.key for own in own_elements(self.setting.model)}
-        own = np.array([element in keys for element in scan.sums.elements])
+        keys = {own.key for own in own_elements(self.setting.model) if own.value > 0}
+        own = self.own = np.array([element in keys for element in scan.sums.elements])
         every: list[Ranked] = []
         for free in [own, ~scan.none] if own.any() else [~scan.none]:
-            if properties_of(self.setting.model):
-                stage = self._approached(scan, free)
-                if self._explains(stage):
-                    return stage
-                every += stage
-                continue
-            alone = scan.hypothesis([], free)
-            stage = self._compete(self._again(alone, free))
-            if not self._explains(stage):
-                places = scan.places(free)
-                if not self._placed_beside_linear or places[0][0] < 0.7 * self._placed_beside_linear[0][0]:
-                    self._placed_beside_linear = places
-                singles, _ = self._singles(scan, places, free)
-                found = [again for first in singles[:1] for again in self._again(first, free)]
-                stage = (*stage, *self._compete(found))
-            stage = tuple(sorted(stage, key=lambda item: item.score))
+            stage = (
+                self._approached(scan, free) if properties_of(self.setting.model) else self._corrected(scan, free)
+            )
+            if free is own and not self._explains(stage):
+                stage = tuple(
+                    sorted([*stage, *self._sensor_beside_linear(scan, own)], key=lambda item: item.score)
+                )
             if self._explains(stage):
                 return stage
             every += stage
         return tuple(sorted(every, key=lambda item: item.score))
+
+    def _corrected(self, scan: Scan, free: NDArray[np.bool_]) -> tuple[Ranked, ...]:
+        """Linear elements of a lumped model alone, then beside the laws at the places that leave least."""
+        stage = self._compete(self._again(scan.hypothesis([], free), free))
+        if not self._explains(stage):
+            places = scan.places(free)
+            if not self._placed_beside_linear or places[0][0] < 0.7 * self._placed_beside_linear[0][0]:
+                self._placed_beside_linear = places
+            singles, _ = self._singles(scan, places, free)
+            found = [again for first in singles[:1] for again in self._again(first, free)]
+            stage = (*stage, *self._compete(found))
+        return tuple(sorted(stage, key=lambda item: item.score))
+
+    def _sensor_beside_linear(self, scan: Scan, own: NDArray[np.bool_]) -> tuple[Ranked, ...]:
+        """Linear numbers fitted to all nodes but one, then the laws of that one's sensor.
+
+        The regressions take the motion as it was measured; what a sensor has spoilt misleads them.
+        """
+        if self.setting.rig.n == 1 or not own.any():
+            return ()
+        fits: list[tuple[float, tuple[str, ...], Refined]] = []
+        for _, group, at in scan.places(own):
+            if group != "sensor" or len(fits) == _PLACES:
+                continue
+            i = scan.view.names.index(at[0])
+            variance = self.setting.data.variance.copy()
+            variance[:, i] *= _DEAF
+            deaf = replace(self.setting, data=replace(self.setting.data, variance=variance))
+            changes = scan.sums.fit_beside_free_force(scan.view.pattern(at, group)[..., None], own)[1]
+            start = tuple((scan.key(k), float(changes[k])) for k in np.flatnonzero(own).tolist())
+            refined = refine(deaf, Hypothesis(linear=start), self.few, self.aside, _STEPS_DEAF)
+            fits.append((refined.left * self.setting.rig.n / (self.setting.rig.n - 1) / self.floor, at, refined))
+            if fits[-1][0] < _ONE_PLACE:
+                break
+        fits.sort(key=lambda item: item[0])
+        placed = [(rest, "sensor", at) for rest, at, _ in fits]
+        if not placed or placed[0][0] > _MANY:
+            return ()
+        if not self._placed_beside_linear or placed[0][0] < 0.7 * self._placed_beside_linear[0][0]:
+            others = [place for place in self._placed_beside_linear if place[1:] not in {p[1:] for p in placed}]
+            self._placed_beside_linear = [*placed, *others]
+        _, at, refined = fits[0]
+        linear = refined.hypothesis.linear
+        seen = self.scan(replace(self.setting, model=apply(self.setting.model, Hypothesis(linear=linear))))
+        found = []
+        for trial in seen.trials("sensor", at, seen.none):
+            law = seen.hypothesis([trial], seen.none)
+            if np.isfinite(law.rest):
+                found.append(Found(replace(law.hypothesis, linear=linear), law.rest))
+        return self._compete(found)
 
     def _approached(self, scan: Scan, free: NDArray[np.bool_]) -> tuple[Ranked, ...]:
         """Linear elements of a beam alone, then beside a free force at one place, then beside the laws there."""
@@ -259,6 +309,8 @@ class Search:
             # What matters is judged from the model as it was, where a correction stands whole.
             again = [whole.trial(trial.candidate, free) for trial in trials_]
             kept = whole.pruned(again, free, _MATTERS)
+            if kept.sum() > FEW:
+                kept |= free & self.own
             total = tuple(
                 (key, linear.get(key, 0.0) + float(fit.linear[i]))
                 for i, key in enumerate(scan.sums.elements)
@@ -286,13 +338,14 @@ class Search:
                 known[at] = scan.trials(group, at, free)
             return known[at]
 
-        ranked = []
-        for i, (_, group, at) in enumerate([] if one_place else places):
-            for rest, other_group, other in scan.places(free, [(group, at)]) if self.setting.rig.n > 2 else places:
-                if any(earlier == other for _, _, earlier in places[: i + 1]):
-                    continue
-                ranked.append((rest, (group, at), (other_group, other)))
-        ranked.sort(key=lambda item: item[0])
+        ranked = [] if one_place or self.setting.rig.n < 3 else scan.place_pairs()
+        if self.setting.rig.n == 2:  # two free forces leave nothing, so every pair is as good as the better place
+            ranked = [
+                (first[0], first[1:], second[1:])
+                for i, second in enumerate(places)
+                for first in places[:i]
+                if not one_place
+            ]
         pairs: list[tuple[Trial, Trial]] = []
         for _, first, second in ranked[:6]:
             pairs += combos(at_place(*first), at_place(*second), 20)
@@ -314,7 +367,7 @@ class Search:
         ranked = []
         for item in close:
             refined = refine(self.setting, item.hypothesis, self.few, self.aside, 3)
-            sharper = significant(refined)
+            sharper = significant(refined, {own.key for own in own_elements(self.setting.model)})
             if refined.settled and sharper.size < refined.hypothesis.size:
                 refined = refine(self.setting, sharper, self.few, self.aside, 2)
             if refined.settled:
@@ -334,11 +387,23 @@ class Search:
         return scan.places(scan.none)
 
 
-def significant(refined: Refined) -> Hypothesis:
-    """Hypothesis without the linear changes that lie within four standard errors of nothing."""
+def spread(experiments: Indices, most: int) -> Indices:
+    """Choose at most so many experiments, from all over a recording."""
+    if len(experiments) <= most:
+        return experiments
+    return np.asarray(experiments[np.linspace(0, len(experiments) - 1, most).astype(np.int64)])
+
+
+def significant(refined: Refined, own: Collection[LinearKey]) -> Hypothesis:
+    """Hypothesis without the linear changes that lie within four standard errors of nothing.
+
+    Where more than a few stand, the model is off altogether and all its own numbers stay free.
+    """
     linear = refined.hypothesis.linear
     errors = np.sqrt(np.maximum(np.diag(refined.covariance), 0.0))[refined.hypothesis.size - len(linear) :]
-    kept = tuple(item for item, error in zip(linear, errors, strict=True) if abs(item[1]) > 4 * error)
+    clear = [abs(change) > 4 * error for (_, change), error in zip(linear, errors, strict=True)]
+    many = sum(clear) > FEW
+    kept = tuple(item for item, stands in zip(linear, clear, strict=True) if stands or (many and item[0] in own))
     return replace(refined.hypothesis, linear=kept)
 
 

@@ -9,9 +9,10 @@ import numpy as np
 from creak.gap.hypothesis import Hypothesis, own_elements
 from creak.gap.levels import db, level
 from creak.gap.records import Cause, GapLevels, LinearCorrection, Verdict
-from creak.gap.refine import Refined, Setting
+from creak.gap.refine import Refined
 from creak.gap.regression import Indices
-from creak.gap.search import FLOOR, Search, Searched
+from creak.gap.search import FEW, FLOOR, Search, Searched
+from creak.gap.setting import Setting
 from creak.mechanics.effects import Effect
 
 CLOSED: Final = 0.995
@@ -19,7 +20,6 @@ WITHIN_DB: Final = 1.0
 HALF: Final = 0.5
 MOST_EFFECTS: Final = 3
 MOST_AT_ONE_PLACE: Final = 2
-FEW: Final = 2  # linear changes that are causes like any other
 ODDS: Final = 20.0  # in twice the log likelihood: what the data still cannot tell apart
 
 

@@ -80,6 +80,18 @@ class View:
                 b[self.names.index(name)] = sign
         return b
 
+    def shows_mean(self, at: tuple[str, ...]) -> bool:
+        """Whether the mean displacement at an internal place is measured."""
+        weights = self.weights(at)
+        return not any(w and order for w, order in zip(weights, self.system.derivatives, strict=False))
+
+    def static(self, at: tuple[str, ...]) -> float:
+        """Displacement at an internal place per unit of steady force there; 0 for a free structure."""
+        if self.system.free:
+            return 0.0
+        b = self.system.points[at[0]] - self.system.points[at[1]]
+        return float((b @ self.system.motion(np.zeros(1), b[:, None])).real.item())
+
     def pattern(self, at: tuple[str, ...], kind: str) -> Complex:
         """Whitened motion of the nodes per unit of what a place adds, ``(L, n)``.
 

@@ -144,13 +144,13 @@ def simulate_steady(
     begins at the motion that time stepping from rest comes to.
     """
     u = np.asarray(u, dtype=np.float64)
-    acting = _acting(system, u, sample_rate)
+    acting = acting_inputs(system, u, sample_rate)
     if not system.elements:
         check_stability(system)
         y = samples_of(linear_part(system, acting, sample_rate, hold).y, u.shape[-1])
         none = np.zeros((len(u), 0, u.shape[-1]))
         done = np.zeros(len(u), dtype=np.int64), np.zeros(len(u)), np.ones(len(u), dtype=bool)
-        return SteadyState(_measured(system, y, sample_rate), none, none, *done, 1, 0.0)
+        return SteadyState(measured(system, y, sample_rate), none, none, *done, 1, 0.0)
     factor = oversampling or 1
     iterations = np.zeros(len(u), dtype=np.int64)
     while True:
@@ -160,11 +160,11 @@ def simulate_steady(
         finer = 2 * factor
         enough = solved.folded <= FOLDED or finer * u.shape[-1] > MOST_SAMPLES
         if oversampling is not None or enough or not solved.settled or stopped():
-            return replace(solved, y=_measured(system, solved.y[..., ::factor], sample_rate))
+            return replace(solved, y=measured(system, solved.y[..., ::factor], sample_rate))
         factor, guess = finer, solved.motion
 
 
-def _acting(system: System, u: Real, sample_rate: float) -> Real:
+def acting_inputs(system: System, u: Real, sample_rate: float) -> Real:
     """Inputs after the actuators' effects, their memory in steady state."""
     out = np.array(u)
     for i, effects in enumerate(system.actuators):
@@ -180,7 +180,7 @@ def _acting(system: System, u: Real, sample_rate: float) -> Real:
     return out
 
 
-def _measured(system: System, y: Real, sample_rate: float) -> Real:
+def measured(system: System, y: Real, sample_rate: float) -> Real:
     """Responses after the sensors' effects."""
     out = np.array(y)
     for m, effects in enumerate(system.sensors):
