@@ -114,6 +114,17 @@ class Scan:
         found = [(float(left[i, j]), every[i], every[j]) for i in range(len(every)) for j in range(i)]
         return sorted(found, key=_rest)
 
+    def beside(self, trials: Sequence[Trial], free: NDArray[np.bool_]) -> "Scan":
+        """The same on what trials and linear elements leave, for places."""
+        fit = self.sums.fit([trial.column for trial in trials], free)
+        r = self.view.r - np.einsum(
+            "lnk,elk->eln", self.sums.q, self.sums.phi * fit.linear[: self.sums.q.shape[-1]]
+        )
+        r -= self.sums.whole @ fit.linear[self.sums.q.shape[-1] :]
+        for trial, coefficient in zip(trials, fit.own, strict=True):
+            r = r - coefficient * trial.column.q * trial.column.phi[..., None]
+        return Scan(replace(self.view, r=r), self.few, self.few[:0], self.floor)
+
     def trials(
         self,
         group: str,

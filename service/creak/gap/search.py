@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from creak.errors import ConfigurationError
+from creak.gap import several
 from creak.gap.approach import approach
 from creak.gap.growth import grown
 from creak.gap.hypothesis import Hypothesis, apply, own_elements, plausible
@@ -23,6 +24,7 @@ Report = Callable[[str, float], None]
 
 CLOSED = 5e-3  # of the excess over noise that an explanation may leave
 FLOOR = 1.12  # times noise that it may leave
+MOST_EFFECTS = 3
 FEW = 2  # linear changes that are causes like any other
 _FEW = 4  # experiments on which hypotheses compete
 _PLACES = 4  # best places at which laws are tried
@@ -96,13 +98,13 @@ class Search:
         """Try one effect, wrong parameters of the model's own, linear elements, both, and pairs, in this order."""
         base = self.scan(self.setting)
         places = base.places(base.none)
-        several = self.setting.rig.n > 1
-        one_place = several and places[0][0] < _ONE_PLACE
+        many_nodes = self.setting.rig.n > 1
+        one_place = many_nodes and places[0][0] < _ONE_PLACE
         self.report("one effect", 0.1)
         singles: list[Found] = []
         trials: dict[tuple[str, ...], list[Trial]] = {}
         # A law leaves at least what a free force at its place leaves.
-        if not several or places[0][0] < max(_MANY, _HOPELESS * self.before):
+        if not many_nodes or places[0][0] < max(_MANY, _HOPELESS * self.before):
             singles, trials = self._singles(base, places, base.none)
         stage = self._compete([*self._replacements(), *singles])
         if self._explains(stage):
@@ -117,6 +119,11 @@ class Search:
         two = self._compete(self._pairs(base, places, trials, base.none, one_place=one_place))
         if self._explains(two):
             return Searched(two, True, places)
+        if not one_place:
+            more = self._several(base)
+            if self._explains(more):
+                return Searched(more, True, self._places_after(more[0]))
+            two = (*two, *more)
         every = tuple(sorted([*stage, *beside, *two], key=lambda item: item.score))
         if beside and every[0] in beside:
             places = self._places_after(every[0])
@@ -352,8 +359,29 @@ class Search:
         for _, group, at in places[:2]:
             own = at_place(group, at)
             pairs += combos(own, own, 20)
+        # An actuator and an element between its node and the ground are two places of one pattern.
+        alike = [(group, at) for rest, group, at in places if rest <= 1.02 * places[0][0] + 0.02][:3]
+        for i, first in enumerate(alike):
+            for second in alike[:i]:
+                pairs += combos(at_place(*first), at_place(*second), 20)
         found += scan.pairs(pairs, free, 5)
         return found
+
+    def _several(self, base: Scan) -> tuple[Ranked, ...]:
+        """Two and three effects at any places, alone and then beside the model's own linear elements."""
+        best: tuple[Ranked, ...] = ()
+        for free in [base.none, self.own] if self.own.any() else [base.none]:
+            sets: list[several.Set] = [()]
+            for size in range(1, MOST_EFFECTS + 1):
+                self.report(f"{size} effects{' beside linear elements' if free.any() else ''}", 0.6 + 0.05 * size)
+                sets = several.grown(base, sets, free)
+                if not sets or (size == 1 and not free.any()):
+                    continue
+                stage = self._compete(several.hypotheses(base, sets, free))
+                if self._explains(stage):
+                    return stage
+                best = (*best, *stage)
+        return tuple(sorted(best, key=lambda item: item.score))
 
     def _compete(self, found: Sequence[Found]) -> tuple[Ranked, ...]:
         """Fit the better regressions to the output and rank them by the Bayesian information criterion."""

@@ -11,15 +11,15 @@ from creak.gap.levels import db, level
 from creak.gap.records import Cause, GapLevels, LinearCorrection, Verdict
 from creak.gap.refine import Refined
 from creak.gap.regression import Indices
-from creak.gap.search import FEW, FLOOR, Search, Searched
+from creak.gap.search import FEW, FLOOR, MOST_EFFECTS, Search, Searched
 from creak.gap.setting import Setting
 from creak.mechanics.effects import Effect
 
 CLOSED: Final = 0.995
 WITHIN_DB: Final = 1.0
 HALF: Final = 0.5
-MOST_EFFECTS: Final = 3
 MOST_AT_ONE_PLACE: Final = 2
+_ORDERED: Final = 6  # experiments by which effects are put in order of importance
 ODDS: Final = 20.0  # in twice the log likelihood: what the data still cannot tell apart
 
 
@@ -105,22 +105,33 @@ def as_causes(
         for ((kind, at), change), error in zip(hypothesis.linear, linear_errors, strict=True):
             if not isinstance(kind, str):
                 items.append((kind(at, change), {"coefficient": float(error)}))
-    for i, (effect, standard) in enumerate(items):
+    few, order = shown[:_ORDERED], list(range(len(items)))
+    named: list[int] = []
+    while order:
+        after = [gap.after_db]
+        if len(items) > 1:
+            after = [
+                _gap_after(setting, replace(stage, effects=(*stage.effects, items[i][0])), few) for i in order
+            ]
+        named.append(order.pop(int(np.argmin(after))))
+        effect, standard = items[named[-1]]
         stage = replace(stage, effects=(*stage.effects, effect))
-        after = gap.after_db if i == len(items) - 1 else _gap_after(setting, stage, shown)
         before = None
-        if hypothesis.dropped and i == 0:
+        if hypothesis.dropped and named[-1] == 0:
             before = dict(setting.model.effects[hypothesis.dropped[0]].parameters())
-        causes.append(Cause(effect.effect, effect.at, dict(effect.parameters()), standard, chance, after, before))
-    return Named(tuple(causes), _alternatives(searched, chances, gap), corrections)
+        left = _gap_after(setting, stage, shown) if order else gap.after_db
+        causes.append(Cause(effect.effect, effect.at, dict(effect.parameters()), standard, chance, left, before))
+    return Named(tuple(causes), _alternatives(searched, chances, gap, named), corrections)
 
 
 def _gap_after(setting: Setting, hypothesis: Hypothesis, shown: Indices) -> float:
     steady = setting.simulate(hypothesis, shown)
+    if not steady.settled:
+        return np.inf
     return db(float(np.mean(level(setting.data, steady.y, shown).power)))
 
 
-def _alternatives(searched: Searched, chances: list[float], gap: GapLevels) -> tuple[Cause, ...]:
+def _alternatives(searched: Searched, chances: list[float], gap: GapLevels, named: list[int]) -> tuple[Cause, ...]:
     """Hypotheses whose likelihood is nearly that of the best, where they differ in one effect."""
     if not searched.ranked:
         return ()
@@ -143,7 +154,7 @@ def _alternatives(searched: Searched, chances: list[float], gap: GapLevels) -> t
                         chance,
                         gap.after_db,
                         None,
-                        i,
+                        named.index(i),
                     )
                 )
             offset += len(names)

@@ -1,0 +1,103 @@
+"""Several effects at once: sets of laws that grow by one, with swaps, since a greedy choice is often half wrong.
+
+The first law of a greedy search likes to be one that mimics a sum. So a few sets are kept at every size, their
+inner parameters are searched in turn, and every member of the best set is dropped and searched anew.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from creak.gap.scan import Found, Scan, Trial
+
+_WIDE = 3  # sets kept at every size
+_PLACES = 5  # places at which a further law is tried
+_LAWS = 3  # of each that go on
+_TURNS = 3  # in which the inner parameters of a set are searched
+_ENOUGH = 1.1  # whitened power at which nothing is left to swap for
+_GAIN = 0.98  # of the rest that a swap must leave
+
+Set = tuple[Trial, ...]
+
+
+def grown(scan: Scan, sets: Sequence[Set], free: NDArray[np.bool_]) -> list[Set]:
+    """Sets with one law more, the best first.
+
+    Parameters
+    ----------
+    scan : Scan
+    sets : sequence of tuple of Trial
+        The best so far, of one size; one empty set to begin with.
+    free : array of bool, (K,)
+        Linear elements fitted beside them.
+    """
+    found = [(*have, more) for have in sets for more in _further(scan, have, free)]
+    found = _distinct(sorted(found, key=lambda item: item[-1].rest))[:_WIDE]
+    polished = sorted((polish(scan, item, free) for item in found), key=rest)
+    if polished and len(polished[0]) > 1 and rest(polished[0]) > _ENOUGH:
+        polished = sorted([swapped(scan, polished[0], free), *polished[1:]], key=rest)
+    return polished
+
+
+def rest(trials: Set) -> float:
+    """What a set leaves relative to noise: as its member that was fitted last has it."""
+    return min(trial.rest for trial in trials)
+
+
+def polish(scan: Scan, trials: Set, free: NDArray[np.bool_]) -> Set:
+    """Search the inner parameters of a set in turn."""
+    if len(trials) < 2:
+        return trials
+    for _ in range(_TURNS):
+        before = rest(trials)
+        for i in range(len(trials)):
+            others = [trial.column for j, trial in enumerate(trials) if j != i]
+            trial = scan.trial(trials[i].candidate, free, others)
+            if trial.rest < rest(trials):
+                trials = (*trials[:i], trial, *trials[i + 1 :])
+        if rest(trials) > 0.99 * before:
+            break
+    return trials
+
+
+def swapped(scan: Scan, trials: Set, free: NDArray[np.bool_]) -> Set:
+    """Drop each member and search its place anew; again while that pays."""
+    for _ in range(len(trials)):
+        best = trials
+        for i in range(len(trials)):
+            others = (*trials[:i], *trials[i + 1 :])
+            for more in _further(scan, others, free)[:1]:
+                new = polish(scan, (*others, more), free)
+                if rest(new) < _GAIN * rest(best):
+                    best = new
+        if best is trials:
+            break
+        trials = best
+    return trials
+
+
+def hypotheses(scan: Scan, sets: Sequence[Set], free: NDArray[np.bool_]) -> list[Found]:
+    """Sets as hypotheses, their coefficients fitted jointly."""
+    return [scan.hypothesis(trials, free) for trials in sets]
+
+
+def _further(scan: Scan, have: Set, free: NDArray[np.bool_]) -> list[Trial]:
+    """Laws that a set lacks, at the places where a free force leaves least beside it."""
+    seen = scan.beside(have, free)
+    places = seen.places(seen.none)
+    if scan.view.rig.n > 1:
+        places = places[:_PLACES]
+    found = []
+    names = {(trial.candidate.kind, trial.candidate.at) for trial in have}
+    for _, group, at in places:
+        trials = scan.trials(group, at, free, [trial.column for trial in have])[:_LAWS]
+        found += [t for t in trials if np.isfinite(t.rest) and (t.candidate.kind, t.candidate.at) not in names]
+    return sorted(found, key=lambda trial: trial.rest)
+
+
+def _distinct(sets: Sequence[Set]) -> list[Set]:
+    kept: dict[frozenset[object], Set] = {}
+    for trials in sets:
+        kept.setdefault(frozenset((t.candidate.kind, t.candidate.at) for t in trials), trials)
+    return list(kept.values())
