@@ -1,5 +1,7 @@
 """Blind cases with two or three effects at once, each well above the noise, drawn as the others are."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from blind import effects, structures
@@ -107,5 +109,5 @@ def score(truth, answer):
         "of": len(wanted),
         "all": wanted <= set(named),
         "invented": sum(item not in wanted for item in named),
-        "falling": all(a > b for a, b in zip(gaps, gaps[1:], strict=False)),
+        "falling": all(a > b for a, b in pairwise(gaps)),
     }
