@@ -130,7 +130,7 @@ def broker(folder, largest=1 << 20):
         made.close()
 
 
-def write_fleet(folder, broker_url, store_url, rigs, *, pace=20.0, lease=2.0):
+def write_fleet(folder, broker_url, store_url, rigs, *, pace=20.0, lease=4.0):
     """Service files ``NAME-worker.toml`` for each rig and ``analyse.toml`` for all of them."""
     folder = Path(folder)
     (folder / "model.toml").write_text(MODEL)

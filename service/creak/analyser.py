@@ -66,6 +66,7 @@ class Analyser:
         self._generation = 0
         self._identity = ""
         self._warned: dict[str, str] = {}
+        self._tick: Callable[[float], None] = lambda _now: None
         self._holder = threading.Thread(target=self._hold, name="leases", daemon=True)
 
     def run(self, tick: Callable[[float], None] = lambda _now: None) -> None:
@@ -76,12 +77,13 @@ class Analyser:
         tick : callable
             Called several times a second with the monotonic time, as long as the loop goes on.
         """
+        self._tick = tick
         self._holder.start()
         looked = asked = beaten = float("-inf")
         try:
             while not self._stop.is_set():
                 now = time.monotonic()
-                tick(now)
+                self._tick(now)
                 self._follow_ownership()
                 progress = False
                 try:
@@ -223,6 +225,7 @@ class Analyser:
                 break
             if self._due.get(rig, 0.0) > now:
                 continue
+            self._tick(time.monotonic())
             with self._news:
                 if self._owned.get(rig) != epoch:
                     continue
