@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from blind import score, trial
+from blind import chosen, score, trial
 from blind.cases import draw, multisines
 from blind.effects import responses
 from blind.motion import LAWS, Structure, element_force, steady
@@ -203,3 +203,11 @@ def test_blind_case(index, tmp_path):
     assert marks
     assert all(value is not False for value in marks.values()), (result["truth"], result["answer"])
     assert not list(tmp_path.iterdir())
+
+
+def test_a_healthy_recording_takes_the_place_of_the_model():
+    """The sealed trial of a measured model: two processes that import, one that diagnoses, no equations given."""
+    result = chosen.one(6, ("mass", "damping", "mass"), 300.0, True, 2)
+    row = chosen.summary([result])
+    assert (row["clear"], row["place"], row["named first"], row["with causes that are none"]) == (1, 1, 1, 0)
+    assert row["error_largest"] < 1e-3  # 40 dB above noise

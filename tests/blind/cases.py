@@ -23,6 +23,8 @@ class Case:
         The measurement, (experiment, channel, sample), transient period included.
     truth : dict
         What it is not given.
+    healthy : tuple of array, optional
+        Inputs and responses from before the effect was there; given in place of the model.
     """
 
     rig: str
@@ -30,6 +32,7 @@ class Case:
     u: np.ndarray
     y: np.ndarray
     truth: dict
+    healthy: tuple[np.ndarray, np.ndarray] | None = None
 
 
 def draw(seed, index):
@@ -57,7 +60,7 @@ def draw(seed, index):
     raise RuntimeError(f"no periodic motion found for case {index} of set {seed}")
 
 
-def draw_of(seed, index, chosen, off=False):
+def draw_of(seed, index, chosen, off=False, healthy=False):
     """Draw a case with one of some effects, in turn.
 
     Parameters
@@ -66,6 +69,8 @@ def draw_of(seed, index, chosen, off=False):
     chosen : sequence of str
     off : bool
         All masses, stiffnesses and dampings are off as well.
+    healthy : bool
+        A recording from before takes the place of the model.
 
     Returns
     -------
@@ -74,13 +79,13 @@ def draw_of(seed, index, chosen, off=False):
     rng = np.random.default_rng((seed, index))
     for _ in range(20):
         try:
-            return _attempt(rng, "vocabulary", off, chosen[index % len(chosen)])
+            return _attempt(rng, "vocabulary", off, chosen[index % len(chosen)], healthy)
         except NotPeriodicError:
             continue
     raise RuntimeError(f"no periodic motion found for case {index} of set {seed}")
 
 
-def _attempt(rng, kind, off, chosen=None):
+def _attempt(rng, kind, off, chosen=None, healthy=False):
     spec = structures.draw_beam(rng) if rng.random() < 0.15 else structures.draw_lumped(rng)
     structure = structures.assemble(spec)
     effect = {
@@ -116,6 +121,12 @@ def _attempt(rng, kind, off, chosen=None):
     simulated = effects.responses(structures.assemble(believed), None, (), {}, u, fs, order, held)
     repeated = np.tile(y, periods + 1)
     repeated = repeated + sigma[:, None] * rng.standard_normal(repeated.shape)
+    before = None
+    if healthy:
+        other = multisines(rng, len(structure.nodes), realisations, fs, size, band, 1.0 if beam else 20.0)
+        still = np.tile(effects.responses(structure, None, (), {}, other, fs, order, held), periods + 1)
+        still = still + sigma[:, None] * rng.standard_normal(still.shape)
+        before = np.tile(other, periods + 1), still
     there = [(effect, at, values)] if effect else []
     truth = {
         "kind": kind,
@@ -135,7 +146,7 @@ def _attempt(rng, kind, off, chosen=None):
         "gap_to_noise_db": _ratio_db(y - simulated, power, noise),
     }
     rig = rig_text(structure.nodes, fs, size, band, truth["hold"], truth["output"])
-    return Case(rig, structures.model_text(believed), np.tile(u, periods + 1), repeated, truth)
+    return Case(rig, structures.model_text(believed), np.tile(u, periods + 1), repeated, truth, before)
 
 
 def _ratio_db(difference, power, noise):

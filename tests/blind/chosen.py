@@ -15,14 +15,14 @@ from blind import score, trial
 from blind.cases import draw_of
 
 
-def one(seed, chosen, timeout, index):
+def one(seed, chosen, timeout, healthy, index):
     """Draw and try one case."""
     os.environ["OMP_NUM_THREADS"] = "1"
     with tempfile.TemporaryDirectory(prefix="creak-") as folder:
-        return trial.run(draw_of(seed, index, chosen), Path(folder), timeout)
+        return trial.run(draw_of(seed, index, chosen, healthy=healthy), Path(folder), timeout)
 
 
-def main(chosen, cases, seed=1, processes=2, timeout=600.0, show=True):
+def main(chosen, cases, seed=1, processes=2, timeout=600.0, healthy=False, show=True):
     """Try cases of chosen effects.
 
     Parameters
@@ -32,6 +32,8 @@ def main(chosen, cases, seed=1, processes=2, timeout=600.0, show=True):
     cases, seed, processes : int
     timeout : float
         Seconds an answer may take.
+    healthy : bool
+        The diagnosis is given a recording from before, and no model.
     show : bool
         Print a line a trial.
 
@@ -42,7 +44,7 @@ def main(chosen, cases, seed=1, processes=2, timeout=600.0, show=True):
     """
     trials = []
     with ProcessPoolExecutor(processes) as pool:
-        for result in pool.map(partial(one, seed, tuple(chosen), timeout), range(cases)):
+        for result in pool.map(partial(one, seed, tuple(chosen), timeout, healthy), range(cases)):
             trials.append(result)
             if show:
                 sys.stdout.write(f"{line(result)}\n")
@@ -106,7 +108,7 @@ def table(result):
     return "\n".join(rows)
 
 
-def command(description, chosen, cases):
+def command(description, chosen, cases, healthy=False):
     """Run as a command."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=cases)
@@ -114,7 +116,7 @@ def command(description, chosen, cases):
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--json", type=Path, help="file to write")
     arguments = parser.parse_args()
-    result = main(chosen, arguments.cases, arguments.seed, arguments.processes)
+    result = main(chosen, arguments.cases, arguments.seed, arguments.processes, healthy=healthy)
     sys.stdout.write(f"{table(result)}\n")
     if arguments.json:
         arguments.json.write_text(json.dumps(result, indent=1))

@@ -78,17 +78,21 @@ def run(case, folder, timeout=300.0):
     inside.mkdir()
     key = seal(case.truth, folder / "truth.sealed")
     (inside / "rig.toml").write_text(case.rig)
-    (inside / "model.toml").write_text(case.model)
-    np.savez(inside / "measured.npz", u=case.u, y=case.y)
-    made = creak(inside, 120.0, "import", "measured.npz", "--rig", "rig.toml", "--output", "recording.mcap")
-    if made.returncode != 0:
-        raise RuntimeError(f"the recording was refused: {made.stderr.strip()}")
+    measured = {"recording": (case.u, case.y)} | ({"healthy": case.healthy} if case.healthy else {})
+    for name, (u, y) in measured.items():
+        np.savez(inside / "measured.npz", u=u, y=y)
+        made = creak(inside, 120.0, "import", "measured.npz", "--rig", "rig.toml", "--output", f"{name}.mcap")
+        if made.returncode != 0:
+            raise RuntimeError(f"the recording was refused: {made.stderr.strip()}")
     for name in ("measured.npz", "rig.toml"):
         (inside / name).unlink()
+    believed = ("--healthy", "healthy.mcap") if case.healthy else ("--model", "model.toml")
+    if not case.healthy:
+        (inside / "model.toml").write_text(case.model)
     answer, error = None, None
     begun, used = time.monotonic(), _used()
     try:
-        done = creak(inside, timeout, "diagnose", "recording.mcap", "--model", "model.toml", "--json")
+        done = creak(inside, timeout, "diagnose", "recording.mcap", *believed, "--json")
         if done.returncode == 0:
             answer = json.loads(done.stdout)
         else:
