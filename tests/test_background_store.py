@@ -105,6 +105,24 @@ def test_record_that_can_never_be_stored_does_not_block_those_behind_it(store, c
     desk.close(END)
 
 
+def test_a_store_that_lags_behind_saves_the_newest_state_and_not_all_that_wait(store, tmp_path):
+    """Kills a queue that grows because states are written that are out of date."""
+    sink = StoreSink(store)
+    desk, packed = BackgroundStore(store, sink), []
+    desk.open(RUN)
+
+    def state(number):
+        packed.append(number)
+        return b"%d" % number
+
+    with locked(tmp_path):
+        for number in range(50):
+            desk.save(START + number, lambda number=number: state(number))
+    wait_for(lambda: saved_state(store, "beam") == b"49")
+    assert len(set(packed)) < 10
+    desk.close(END)
+
+
 class Source:
     """Frames of a static structure, one realisation at a time, until it is told to end."""
 

@@ -30,6 +30,7 @@ _POLL_SECONDS = 0.1
 _RETRY_SECONDS = 0.5
 _PATIENCE_SECONDS = 15.0  # a store that is busy for less is nobody's concern
 _CLOSE_SECONDS = 2.0
+_SAVE_SECONDS = 1.0  # a store that lags behind writes the monitor's state so often, not every one that waits
 _PASSING = (sa.exc.OperationalError, sa.exc.InterfaceError, sa.exc.TimeoutError)  # another try may succeed
 _NO_SAMPLES = np.empty((0, 0))
 
@@ -66,6 +67,8 @@ class BackgroundStore:
         self._failing_since: float | None = None
         self._failure = ""
         self._dropped = 0
+        self._saves = 0
+        self._saved_at = float("-inf")
         self._thread: threading.Thread | None = None
 
     def open(self, run: Run) -> None:
@@ -143,7 +146,16 @@ class BackgroundStore:
         pack : callable
             Makes the bytes; called in the thread of the store.
         """
-        self._add(lambda: self._sink.save(recorded, pack()), must=False)
+        self._saves += 1
+        number = self._saves
+
+        def write() -> None:
+            now = time.monotonic()
+            if number == self._saves or now - self._saved_at >= _SAVE_SECONDS:  # else a newer one waits
+                self._sink.save(recorded, pack())
+                self._saved_at = now
+
+        self._add(write, must=False)
 
     def do(self, job: Job) -> None:
         """Queue whatever else is to be written, tried until it is."""
