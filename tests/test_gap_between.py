@@ -111,8 +111,7 @@ def test_a_force_at_the_end_of_a_chain_looks_like_one_at_its_last_sensor():
     seen = profile(Setting(rig, bare, data, 160), view, np.arange(9))
     measured = Scan(view, np.arange(9), np.arange(0), 1.0).places(np.zeros(15, dtype=bool))
     hidden = seen.rest[seen.places.index(("4", GROUND))]
-    # Places are ranked on some of the experiments, so noise is not the same to the last digit.
-    assert hidden == pytest.approx(next(rest for rest, _, at in measured if at == ("3", GROUND)), rel=0.02)
+    assert hidden == pytest.approx(next(rest for rest, _, at in measured if at == ("3", GROUND)), rel=1e-6)
     found = diagnose(rig, bare, data)
     assert [(cause.effect, cause.at) for cause in found.causes] == [("cubic_stiffness", ("4", GROUND))]
 

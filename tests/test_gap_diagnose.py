@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 
 from creak.errors import ConfigurationError
-from creak.gap.diagnose import diagnose, validate
+from creak.gap.diagnose import _halves, diagnose, validate
 from creak.gap.hypothesis import Hypothesis, apply, own_elements
 from creak.gap.levels import noise_bound
 from creak.gap.records import GapLevels, Verdict
 from creak.gap.verdict import judge
-from creak.mechanics.effects import Clearance, CubicStiffness, OneSidedStop, Resonator, Stiffness
-from creak.mechanics.electronics import ActuatorSaturation, SensorGain
+from creak.mechanics.effects import (
+    Clearance,
+    CubicStiffness,
+    OneSidedStop,
+    QuadraticStiffness,
+    Resonator,
+    Stiffness,
+)
+from creak.mechanics.electronics import ActuatorSaturation, SensorClipping, SensorGain
 from gap_recordings import CHAIN, RIG, recording, rig_of
 
 
@@ -125,6 +132,56 @@ def test_acceleration_under_held_inputs():
     diagnosis = diagnose(rig, CHAIN, recording([CubicStiffness(("3", "ground"), 1e8)], rig=rig))
     assert named(diagnosis) == [("cubic_stiffness", ("3", "ground"))]
     assert diagnosis.causes[0].parameters["coefficient"] == pytest.approx(1e8, rel=0.01)
+
+
+def test_a_sensor_that_clips_is_found_beside_linear_errors():
+    # kills: linear numbers fitted to the motion that the sensor has spoilt
+    rng = np.random.default_rng(6)
+    off = tuple((own.key, float(own.value * rng.uniform(-0.06, 0.06))) for own in own_elements(CHAIN))
+    limit = SensorClipping(("2",), 8e-3)
+    diagnosis = diagnose(RIG, apply(CHAIN, Hypothesis(linear=off)), recording([limit]))
+    assert diagnosis.verdict is Verdict.EXPLAINED
+    assert named(diagnosis) == [("sensor_clipping", ("2",))]
+    assert diagnosis.causes[0].parameters["limit"] == pytest.approx(8e-3, rel=0.01)
+
+
+def test_an_even_law_is_found_though_velocities_hide_the_mean_that_it_makes():
+    # kills: a law taken about a mean of zero, a mean that is the same in all experiments
+    rig = rig_of("m/s")
+    diagnosis = diagnose(rig, CHAIN, recording([QuadraticStiffness(("3", "ground"), 5e6)], rig=rig))
+    assert named(diagnosis) == [("quadratic_stiffness", ("3", "ground"))]
+    assert diagnosis.causes[0].parameters["coefficient"] == pytest.approx(5e6, rel=0.01)
+
+
+def test_an_actuator_and_a_spring_at_its_node_are_told_apart():
+    # kills: pairs of one kind of place alone
+    effects = [CubicStiffness(("2", "ground"), 1e8), ActuatorSaturation(("2",), 80.0)]
+    diagnosis = diagnose(RIG, CHAIN, recording(effects))
+    assert diagnosis.verdict is Verdict.EXPLAINED
+    assert sorted(named(diagnosis)) == [("actuator_saturation", ("2",)), ("cubic_stiffness", ("2", "ground"))]
+
+
+def test_three_realisations_are_fitted_chosen_by_and_claimed_on_apart():
+    # kills: a choice among hypotheses on the realisation that the claim rests on
+    halves = _halves(recording(realisations=3))
+    parts = [set(part.tolist()) for part in (halves.searched, halves.chosen_by, halves.held)]
+    assert [len(part) for part in parts] == [3, 3, 3]
+    assert len(parts[0] | parts[1] | parts[2]) == 9
+    assert set(halves.fitted.tolist()) == parts[0] | parts[1]
+    two = diagnose(RIG, CHAIN, recording([Stiffness(("1", "3"), 800.0)], realisations=2))
+    assert any("two realisations" in line for line in two.not_claimed)
+
+
+def test_progress_moves_while_it_searches():
+    # kills: a bar that stands for most of the time
+    told = []
+    rng = np.random.default_rng(4)
+    off = tuple((own.key, float(own.value * rng.uniform(-0.1, 0.1))) for own in own_elements(CHAIN))
+    model = apply(CHAIN, Hypothesis(linear=off))
+    diagnose(RIG, model, recording([CubicStiffness(("3", "ground"), 1e8)]), lambda what, done: told.append(done))
+    assert len(set(told)) > 8
+    assert told == sorted(told)
+    assert told[-1] == 1.0
 
 
 def test_one_realisation_says_what_is_not_claimed():

@@ -19,7 +19,7 @@ from creak.records import Real
 
 _POINTS = 48
 _ROUNDS = 12
-_WIDE = 2.0  # of its levels' share by which a first guess may be off
+_WIDE = 8.0  # of its levels' share by which a first guess may be off
 _DEEP = 12.0  # log likelihood below the peak beyond which nothing counts
 
 

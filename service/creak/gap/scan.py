@@ -86,7 +86,7 @@ class Scan:
         every = places(self.view)
         if not beside and not free.any():
             patterns = np.stack([self.view.pattern(at, group) for group, at in every], axis=-1)
-            left = np.diag(self._small.beside_free_forces(patterns)).tolist()
+            left = np.diag(self.sums.beside_free_forces(patterns)).tolist()
         else:
             known: dict[Place, float] = {}
             for group, at in every:
@@ -95,7 +95,7 @@ class Scan:
                     ("internal", (*at, GROUND)) if group == "actuator" and self._drives_its_node(at[0]) else None
                 )
                 patterns = np.stack([*fixed, self.view.pattern(at, group)], axis=-1)
-                known[group, at] = known[twin] if twin else self._small.beside_free_force(patterns, free)
+                known[group, at] = known[twin] if twin else self.sums.beside_free_force(patterns, free)
             left = list(known.values())
         return sorted(((rest / self.floor, *place) for rest, place in zip(left, every, strict=True)), key=_rest)
 
@@ -110,7 +110,7 @@ class Scan:
         """Pairs of places by what free forces at both leave relative to noise, the best first; 3 nodes or more."""
         every = places(self.view)
         patterns = np.stack([self.view.pattern(at, group) for group, at in every], axis=-1)
-        left = self._small.beside_free_forces(patterns) / self.floor
+        left = self.sums.beside_free_forces(patterns) / self.floor
         found = [(float(left[i, j]), every[i], every[j]) for i in range(len(every)) for j in range(i)]
         return sorted(found, key=_rest)
 

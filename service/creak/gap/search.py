@@ -92,6 +92,7 @@ class Search:
         self.aside = held[: _FEW - 1] if len(held) else self.few
         self.before = self.scan(setting).rest()
         self.own: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        self._stage = ("", 0.0, 0.0)
         self._placed_beside_linear: list[tuple[float, str, tuple[str, ...]]] = []
 
     def run(self) -> Searched:
@@ -100,7 +101,7 @@ class Search:
         places = base.places(base.none)
         many_nodes = self.setting.rig.n > 1
         one_place = many_nodes and places[0][0] < _ONE_PLACE
-        self.report("one effect", 0.1)
+        self._begin("one effect", 0.1, 0.3)
         singles: list[Found] = []
         trials: dict[tuple[str, ...], list[Trial]] = {}
         # A law leaves at least what a free force at its place leaves.
@@ -111,26 +112,25 @@ class Search:
             return Searched(stage, True, places)
         beside: tuple[Ranked, ...] = ()
         if not one_place:
-            self.report("linear elements", 0.35)
+            self._begin("linear elements", 0.3, 0.6)
             beside = self._beside_linear()
             if self._explains(beside):
                 return Searched(beside, True, self._places_after(beside[0]))
-        self.report("two effects", 0.6)
+        self._begin("two effects", 0.6, 0.7)
         two = self._compete(self._pairs(base, places, trials, base.none, one_place=one_place))
         if self._explains(two):
             return Searched(two, True, places)
-        if not one_place:
-            more = self._several(base)
-            if self._explains(more):
-                return Searched(more, True, self._places_after(more[0]))
-            two = (*two, *more)
+        more = self._several(base, one_place=one_place)
+        if self._explains(more):
+            return Searched(more, True, places if one_place else self._places_after(more[0]))
+        two = (*two, *more)
         every = tuple(sorted([*stage, *beside, *two], key=lambda item: item.score))
         if beside and every[0] in beside:
             places = self._places_after(every[0])
         elif self._placed_beside_linear and self._placed_beside_linear[0][0] < 0.5 * places[0][0]:
             places = self._placed_beside_linear
         if every and not self.explains(every[0].refined):
-            self.report("further effects", 0.75)
+            self.report("further effects", 0.83)
             larger = [Ranked(refined, self.score(refined)) for refined in grown(self, every[0])]
             every = (*reversed(larger), *every)
         return Searched(every, bool(every) and self.explains(every[0].refined), places)
@@ -143,6 +143,16 @@ class Search:
         count = len(self.aside) * self.setting.top * self.setting.rig.n
         chance = 3 / np.sqrt(count)
         return bool(rest <= max(FLOOR - 1, chance)) and bool(rest <= max(CLOSED * (self.before - 1), chance))
+
+    def _begin(self, what: str, low: float, high: float) -> None:
+        """Enter a stage, whose steps take the progress from `low` towards `high`; how many come is not known."""
+        self._stage = (what, low, high)
+        self.report(what, low)
+
+    def _step(self) -> None:
+        what, low, high = self._stage
+        self._stage = (what, low + 0.1 * (high - low), high)
+        self.report(what, self._stage[1])
 
     def _explains(self, stage: Sequence[Ranked]) -> bool:
         return bool(stage) and self.explains(stage[0].refined)
@@ -164,6 +174,7 @@ class Search:
         trials = {}
         found = []
         for _, group, at in _worth(places):
+            self._step()
             trials[at] = scan.trials(group, at, free)
             had = {(type(effect), effect.at) for effect in self.setting.model.effects}
             found += [
@@ -265,12 +276,14 @@ class Search:
             # A free force at an actuator is one between its node and the ground.
             where = group == "sensor", (*at, GROUND)[:2]
             if where not in alike:
+                self._step()
                 starts = [approach(self.setting, self.few, (group, at), free, start, 3) for start in (none, alone)]
                 alike[where] = min(starts, key=lambda item: item[0])
             near.append((alike[where][0] / self.floor, (group, at), where))
         near.sort(key=lambda item: item[0])
         found, placed, ended = [], [], {}
         for _, place, where in near[:_PLACES]:
+            self._step()
             if where not in ended:
                 ended[where] = approach(self.setting, self.few, place, free, alike[where][1])
             left, linear = ended[where]
@@ -342,6 +355,7 @@ class Search:
 
         def at_place(group: str, at: tuple[str, ...]) -> list[Trial]:
             if at not in known:
+                self._step()
                 known[at] = scan.trials(group, at, free)
             return known[at]
 
@@ -367,13 +381,14 @@ class Search:
         found += scan.pairs(pairs, free, 5)
         return found
 
-    def _several(self, base: Scan) -> tuple[Ranked, ...]:
-        """Two and three effects at any places, alone and then beside the model's own linear elements."""
+    def _several(self, base: Scan, *, one_place: bool) -> tuple[Ranked, ...]:
+        """Two or three effects at any places, two at one; alone, then beside the model's own linear elements."""
         best: tuple[Ranked, ...] = ()
-        for free in [base.none, self.own] if self.own.any() else [base.none]:
+        for free in [base.none, self.own] if self.own.any() and not one_place else [base.none]:
             sets: list[several.Set] = [()]
-            for size in range(1, MOST_EFFECTS + 1):
-                self.report(f"{size} effects{' beside linear elements' if free.any() else ''}", 0.6 + 0.05 * size)
+            for size in range(1, (2 if one_place else MOST_EFFECTS) + 1):
+                low = 0.7 + 0.02 * size + 0.06 * bool(free.any())
+                self._begin(f"{size} effects{' beside linear elements' if free.any() else ''}", low, low + 0.02)
                 sets = several.grown(base, sets, free)
                 if not sets or (size == 1 and not free.any()):
                     continue
@@ -394,6 +409,7 @@ class Search:
         close = [item for item in found[:_COMPETING] if item.rest - 1 <= max(0.3, 4 * least)]
         ranked = []
         for item in close:
+            self._step()
             refined = refine(self.setting, item.hypothesis, self.few, self.aside, 3)
             sharper = significant(refined, {own.key for own in own_elements(self.setting.model)})
             if refined.settled and sharper.size < refined.hypothesis.size:
