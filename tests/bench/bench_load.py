@@ -204,7 +204,8 @@ async def _measure(port, bare, directory, rate, seconds, blocked, stalled):
         await asyncio.sleep(0.2)
     result["reads"] = await _reads(port, bare, rate, seconds)
     hook = json.dumps({"url": stalled.url}).encode()
-    await _one(port, "/api/v1/webhooks", "POST", hook)
+    _, added = await _one(port, "/api/v1/webhooks", "POST", hook)
+    await _one(port, f"/api/v1/webhooks/{added['id']}/test", "POST")  # so that there is something to stall
     async with _stalled_stream(port):
         result["stalled receiver and stream"] = await _reads(port, bare, rate, seconds)
         before = await _rigs(port)
