@@ -40,6 +40,11 @@ def random_spectra(rng, rig, realisations, periods, noise=1e-2, distortion=0.0):
     return np.concatenate((U, Y), axis=-1)
 
 
+def pytest_collection_modifyitems(items):
+    """Tests of whole systems take longest: they go first, so that no core is idle at the end."""
+    items.sort(key=lambda item: "system" not in item.path.parts)
+
+
 @pytest.fixture
 def rng():
     return np.random.default_rng(20261121)
