@@ -1,6 +1,6 @@
 """The diagnosis as a whole: `diagnose` and `validate`, the two entries to this package."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,11 +12,12 @@ from creak.gap.force import force_curves, missing_force
 from creak.gap.hypothesis import Hypothesis, apply
 from creak.gap.levels import Division, Level, band_shares, divide, gap_levels, level, node_gaps, noise_bound
 from creak.gap.periodic import PeriodicData
+from creak.gap.ranking import Ranked, Searched
 from creak.gap.records import Cause, Diagnosis, MissingForce, Validation, Verdict
 from creak.gap.reference import seen_by, shared_errors, widened
 from creak.gap.refine import FINE, Refined, conclude, refine
 from creak.gap.regression import Indices
-from creak.gap.search import Ranked, Search, Searched
+from creak.gap.search import Search
 from creak.gap.setting import Setting
 from creak.gap.verdict import CLOSED, WITHIN_DB, as_causes, as_corrections, judge, probabilities
 from creak.gap.view import check_stable, hold_factor, lines_of
@@ -191,6 +192,7 @@ def _concluded(
     shared = shared_errors(model, data, len(halves.fitted))
     corrected = apply(model, final.hypothesis)
     where, seen, shown_there = _where(setting, final.hypothesis, searched, halves)
+    where = _in_order(where, named.causes)
     progress("done", 1.0)
     return replace(
         result,
@@ -215,6 +217,12 @@ def _concluded(
 
 def _wider(cause: Cause, factor: float) -> Cause:
     return replace(cause, standard_errors={key: factor * error for key, error in cause.standard_errors.items()})
+
+
+def _in_order(where: Sequence[MissingForce], causes: Sequence[Cause]) -> tuple[MissingForce, ...]:
+    """Places in falling share; of an actuator and its node, which share one pattern, that of the earlier cause."""
+    rank = {cause.at: i for i, cause in reversed(list(enumerate(causes)))}
+    return tuple(sorted(where, key=lambda force: (-round(force.share, 6), rank.get(force.at, len(rank)))))
 
 
 def _where(

@@ -12,7 +12,8 @@ from creak.gap.hypothesis import Hypothesis, apply, plausible
 from creak.gap.refine import Refined, refine
 
 if TYPE_CHECKING:
-    from creak.gap.search import Ranked, Search
+    from creak.gap.ranking import Ranked
+    from creak.gap.search import Search
 
 MOST: Final = 3
 """Effects that a hypothesis may have."""

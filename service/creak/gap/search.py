@@ -1,7 +1,7 @@
 """From one recording and one model to the hypothesis that explains the gap, simplest first."""
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,9 @@ from creak.gap.approach import approach
 from creak.gap.growth import grown
 from creak.gap.hypothesis import Hypothesis, apply, own_elements, plausible
 from creak.gap.properties import properties_of
+from creak.gap.ranking import FEW, Ranked, Searched, significant
 from creak.gap.refine import Refined, refine
-from creak.gap.regression import Indices, LinearKey
+from creak.gap.regression import Indices
 from creak.gap.scan import Found, Scan, Trial, combos, replacement
 from creak.gap.setting import Setting
 from creak.gap.view import see
@@ -25,7 +26,6 @@ Report = Callable[[str, float], None]
 CLOSED = 5e-3  # of the excess over noise that an explanation may leave
 FLOOR = 1.12  # times noise that it may leave
 MOST_EFFECTS = 3
-FEW = 2  # linear changes that are causes like any other
 _FEW = 4  # experiments on which hypotheses compete
 _PLACES = 4  # best places at which laws are tried
 _HOPELESS = 5e-3  # of the excess: what a regression may leave and its output-error fit still reach noise
@@ -36,41 +36,6 @@ _SCANNED = 12  # experiments on which regressions are taken
 _DEAF = 1e12  # by which the noise of a node is raised that is not to count
 _STEPS_DEAF = 8
 _COMPETING = 4  # best regressions that are fitted to the output
-
-
-@dataclass(frozen=True, eq=False)
-class Ranked:
-    """A hypothesis that was fitted to the output, with its Bayesian information criterion."""
-
-    refined: Refined
-    score: float
-
-    @property
-    def hypothesis(self) -> Hypothesis:
-        """What it supposes."""
-        return self.refined.hypothesis
-
-
-@dataclass(frozen=True, eq=False)
-class Searched:
-    """What a search ended with.
-
-    Parameters
-    ----------
-    ranked : tuple of Ranked
-        Hypotheses of the last stage that was needed, the best first; empty if there was none.
-    explained : bool
-        The best one leaves noise.
-    places : list
-        Places by what a free force there leaves, the linear part as the best hypothesis has it.
-    whole : bool
-        The best one was fitted to all experiments that may be fitted.
-    """
-
-    ranked: tuple[Ranked, ...]
-    explained: bool
-    places: list[tuple[float, str, tuple[str, ...]]] = field(default_factory=list)
-    whole: bool = False
 
 
 class Search:
@@ -436,19 +401,6 @@ def spread(experiments: Indices, most: int) -> Indices:
     if len(experiments) <= most:
         return experiments
     return np.asarray(experiments[np.linspace(0, len(experiments) - 1, most).astype(np.int64)])
-
-
-def significant(refined: Refined, own: Collection[LinearKey]) -> Hypothesis:
-    """Hypothesis without the linear changes that lie within four standard errors of nothing.
-
-    Where more than a few stand, the model is off altogether and all its own numbers stay free.
-    """
-    linear = refined.hypothesis.linear
-    errors = np.sqrt(np.maximum(np.diag(refined.covariance), 0.0))[refined.hypothesis.size - len(linear) :]
-    clear = [abs(change) > 4 * error for (_, change), error in zip(linear, errors, strict=True)]
-    many = sum(clear) > FEW
-    kept = tuple(item for item, stands in zip(linear, clear, strict=True) if stands or (many and item[0] in own))
-    return replace(refined.hypothesis, linear=kept)
 
 
 def _worth(

@@ -8,10 +8,11 @@ import numpy as np
 
 from creak.gap.hypothesis import Hypothesis, own_elements
 from creak.gap.levels import db, level
+from creak.gap.ranking import FEW, Searched
 from creak.gap.records import Cause, GapLevels, LinearCorrection, Verdict
 from creak.gap.refine import Refined
 from creak.gap.regression import Indices
-from creak.gap.search import FEW, FLOOR, MOST_EFFECTS, Search, Searched
+from creak.gap.search import FLOOR, MOST_EFFECTS, Search
 from creak.gap.setting import Setting
 from creak.mechanics.effects import Effect
 
