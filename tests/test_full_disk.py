@@ -20,6 +20,9 @@ from creak.worker import Worker
 from store_records import START
 from webhook_desk import wait_for
 
+SOME_FRAMES = 100_000
+"""Bytes of a recording that holds realisations, not only its schemas."""
+
 RUN = make_real_run(make_rig(2, samples=128, lines=range(2, 40), name="beam"), window=2, start=START)
 
 
@@ -79,7 +82,7 @@ def test_recording_stops_with_an_alarm_and_goes_on_when_there_is_room(store, dis
 
     worker.start()
     try:
-        wait_for(lambda: recorder.path.stat().st_size > 5_000)
+        wait_for(lambda: recorder.path.stat().st_size > SOME_FRAMES)
         with contextlib.suppress(OSError), ballast.open("wb", buffering=0) as file:
             while True:
                 file.write(bytes(4096))
@@ -92,7 +95,7 @@ def test_recording_stops_with_an_alarm_and_goes_on_when_there_is_room(store, dis
         assert sorted(path.name for path in disk.iterdir()) == sorted(["ballast", recorder.path.name])
         ballast.unlink()
         wait_for(lambda: not alarm()["active"])
-        wait_for(lambda: len(recorder.paths) == 2 and recorder.path.stat().st_size > 5_000)
+        wait_for(lambda: len(recorder.paths) == 2 and recorder.path.stat().st_size > SOME_FRAMES)
         assert alarm()["id"] == raised["id"]
     finally:
         worker.stop(10.0)
