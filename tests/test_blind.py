@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from blind import chosen, score, trial
+from blind import chosen, score, several, trial
 from blind.cases import draw, multisines
 from blind.effects import responses
 from blind.motion import LAWS, Structure, element_force, steady
@@ -211,3 +211,46 @@ def test_a_healthy_recording_takes_the_place_of_the_model():
     row = chosen.summary([result])
     assert (row["clear"], row["place"], row["named first"], row["with causes that are none"]) == (1, 1, 1, 0)
     assert row["error_largest"] < 1e-3  # 40 dB above noise
+
+
+THREE = {
+    "effects": [
+        {"effect": "cubic_stiffness", "at": ["1", "ground"]},
+        {"effect": "hysteresis", "at": ["1", "2"]},
+        {"effect": "sensor_delay", "at": ["2"]},
+    ],
+    "left_db": {"0": -12.0, "1": -11.8, "2": -5.0, "0-1": -14.0, "0-2": -20.0, "1-2": -20.3},
+}
+
+
+@pytest.mark.parametrize(
+    ("order", "ordered"),
+    [
+        ([0, 2, 1], True),
+        ([1, 2, 0], True),  # nearly as much as with the first
+        ([0, 1, 2], False),  # with the third in second place less would be left
+        ([2, 0, 1], False),
+        ([0, 2], False),
+        ([], False),
+    ],
+)
+def test_waterfall_is_held_against_what_the_true_effects_leave(order, ordered):
+    """Kills a score that takes any falling waterfall for one in the order of importance."""
+    causes = [
+        {"effect": item["effect"], "at": item["at"][::-1], "gap_after_db": -10.0 * k}
+        for k, item in enumerate(THREE["effects"][i] for i in order)
+    ]
+    mark = several.score(THREE, {"causes": causes})
+    assert mark["ordered"] is ordered
+    assert mark["found"] == len(order)
+    assert mark["all"] is (len(order) == 3)
+    assert not mark["invented"]
+    assert mark["falling"]
+
+
+def test_effects_drawn_together_stand_clear_of_noise():
+    """Kills a drawing in which one of two effects could not be found by anybody."""
+    case = several.draw(1, 2, 2)
+    floor = -case.truth["snr_db"] - 10 * np.log10(2)
+    assert len(case.truth["effects"]) == 2
+    assert min(case.truth["left_db"].values()) > floor + several.CLEAR_DB
