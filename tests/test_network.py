@@ -1,5 +1,6 @@
 """Levels, p-values and network: laws, and statistical claims tested over fixed seeds."""
 
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -46,6 +47,20 @@ def chain_spectra(rng, Z, realisations, periods, noise, spring=0.0):
     force[..., 2] += spring * gauss(realisations, 3, 1, F)
     Y = np.einsum("fij,mcpfj->mcpfi", np.linalg.inv(Z), force)
     return rig, np.concatenate((U, Y + noise * gauss(*Y.shape)), axis=-1)
+
+
+@pytest.mark.parametrize(("q", "network"), [(3, None), (3, CHAIN), (2, None)])
+@pytest.mark.parametrize("lines", [1, 31, 32, 70])
+def test_levels_do_not_depend_on_what_the_moments_are_about(rng, q, network, lines):
+    """Kills a moment that is not moved to S, and a tile of lines that is not full."""
+    rig = make_rig(3, q, lines=range(2, 2 + lines), samples=256, network=network)
+    sums, expected = run_of(rig, random_spectra(rng, rig, 4, 3, noise=0.1, distortion=0.1))
+    other = sums.S + 0.1 * rng.standard_normal(sums.S.shape)
+    got = estimate(rig, replace(sums.moved(other), S=sums.S), Scope.RUN, 0, 3)
+    for name in ("signal", "noise", "total", "classical_noise", "classical_total", "p_value", "classical_p_value"):
+        x, y = getattr(got.spectra, name), getattr(expected.spectra, name)
+        np.testing.assert_allclose(x, y, rtol=1e-9, err_msg=name)
+    assert len(got.elements) == len(expected.elements)
 
 
 @pytest.mark.parametrize("network", [None, CHAIN])

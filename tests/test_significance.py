@@ -1,7 +1,10 @@
 """Significance: laws of the combinations, and rates on linear structures that stay inside their bounds."""
 
+from decimal import Decimal, localcontext
+
 import numpy as np
 import pytest
+import scipy.special
 import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,10 +12,45 @@ from hypothesis import strategies as st
 from bench.bench_calibration import power, rates
 from conftest import make_rig, random_spectra
 from creak.codec import spectrum_json
-from creak.significance import octaves, pooled_p_value, q_values
+from creak.significance import octaves, pooled_p_value, q_values, variance_ratio_p_values
 from test_network import CHAIN, chain_spectra, chain_stiffness, run_of
 
 P_VALUES = st.lists(st.floats(0, 1), min_size=1, max_size=40)
+
+
+@settings(deadline=None)
+@given(st.integers(1, 1200), st.integers(1, 1200), st.integers(1, 70), st.integers(0, 2**31))
+def test_p_values_of_variance_ratios_are_those_of_scipy(free, other_free, count, seed):
+    """Kills a term too many or too few, and a tile that is not full; scipy itself loses digits far out."""
+    rng = np.random.default_rng(seed)
+    x = free * 10 ** rng.uniform(-3, 3, count)
+    y = rng.chisquare(2 * other_free, count)
+    p = variance_ratio_p_values(x, y, float(free), float(other_free))
+    expected = scipy.special.fdtrc(2 * free, 2 * other_free, (x / free) / (y / other_free))
+    np.testing.assert_allclose(p, expected, rtol=1e-9, atol=1e-100)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(1, 600), st.integers(1, 400), st.floats(-3, 3))
+def test_p_values_of_variance_ratios_are_exact_down_to_the_smallest_numbers(free, other_free, size):
+    """Kills an overflow, or an underflow, on the way to 1e-300; against sums of sixty digits."""
+    x, y = free * 10**size, float(other_free)
+    with localcontext(prec=60):
+        a, b = Decimal(x) / (Decimal(x) + Decimal(y)), Decimal(y) / (Decimal(x) + Decimal(y))
+        terms, expected = Decimal(1), Decimal(1)
+        for j in range(1, free):
+            terms *= a * (other_free + j - 1) / j
+            expected += terms
+        expected *= b**other_free
+    p = variance_ratio_p_values(np.array([x]), np.array([y]), float(free), float(other_free))
+    np.testing.assert_allclose(p, float(expected), rtol=1e-12, atol=1e-300)
+
+
+@pytest.mark.parametrize(("free", "other_free"), [(3, 4), (900, 400)])
+def test_p_values_where_nothing_stands_against_something(free, other_free):
+    """Kills a division by zero that spreads; without noise to compare with there is no test."""
+    x, y = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(variance_ratio_p_values(x, y, float(free), float(other_free)), [1, 0, np.nan])
 
 
 @settings(deadline=None)  # times are not what is tested, on a machine that others use too

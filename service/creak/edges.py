@@ -10,6 +10,7 @@ import scipy.special
 
 from creak.network import fitted_parameters, node_to_node
 from creak.records import Real, Rig
+from creak.residuals import least_squares_powers, lines_last
 from creak.significance import pooled_p_value
 from creak.statistics import Sums, quadratic
 
@@ -93,11 +94,12 @@ def edge_remarks(tests: tuple[EdgeTest, ...], level: float = 1e-3) -> tuple[str,
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Sums about the best linear approximation that the levels are to be taken from, and why.
+    """Sums whose ``S`` is the best linear approximation that the levels are to be taken from, and why.
 
     Parameters
     ----------
     sums : Sums
+        The moments are about what they were about.
     remarks : tuple of str
         A sentence if it is not (28).
     """
@@ -118,22 +120,15 @@ def reference(sums: Sums, names: tuple[str, ...]) -> Reference:
     Parameters
     ----------
     sums : Sums
-        In the normal form.
     names : tuple of str, (n,)
         Nodes.
     """
-    try:
-        S = sums.least_squares()
-    except np.linalg.LinAlgError:
-        return Reference(sums)
-    eye = np.broadcast_to(np.eye(len(names), dtype=np.complex128), (len(S), len(names), len(names)))
-
-    forms = np.concatenate((sums.S - S, eye), axis=2)
     n = len(names)
     plain, least = np.zeros(n), np.zeros(n)
-    for moments in (sums.between, sums.within):
-        plain += np.einsum("fii->i", moments)[-n:].real
-        least += quadratic(forms, moments).sum(axis=0)
+    moments = lines_last(sums.between), lines_last(sums.within)
+    about = sums.S if sums.about is None else sums.about
+    if not least_squares_powers(*moments, lines_last(sums.S), lines_last(about), plain, least):
+        return Reference(sums)
     excess = np.zeros_like(plain)
     known = least > 0
     excess[known] = 10 * np.log10(np.maximum(plain[known] / least[known], 1.0))
@@ -144,7 +139,7 @@ def reference(sums: Sums, names: tuple[str, ...]) -> Reference:
         "amplitudes differ between realisations, so levels are taken about the least-squares approximation; "
         f"about the mean of (28) the classical residual of node {names[worst]} is {excess[worst]:.2f} dB higher"
     )
-    return Reference(sums.about_least_squares(), (sentence,))
+    return Reference(replace(sums, S=sums.least_squares(), about=about), (sentence,))
 
 
 def _split(rig: Rig, sums: Sums) -> tuple[Real, Real]:

@@ -71,13 +71,12 @@ def judged(rig: Rig, block: Block, scope: Scope, last: Last) -> Estimate:
     last : Last
         The last realisation in the block.
     """
-    sums = block.sums.normal()
-    chosen = reference(sums, tuple(node.name for node in rig.nodes))
+    chosen = reference(block.sums, tuple(node.name for node in rig.nodes))
     levels = estimate(rig, chosen.sums, scope, last.end, last.index)
     remarks = chosen.remarks
     if levels.located and scope is Scope.RUN:
         try:
-            remarks += edge_remarks(edge_tests(rig, sums))
+            remarks += edge_remarks(edge_tests(rig, block.sums))
         except np.linalg.LinAlgError:
             remarks += ("the given edges cannot be tested: the response matrix is singular",)
     return replace(levels, detection=detection_levels(rig, block.excited, block.left_out), remarks=remarks)

@@ -13,8 +13,9 @@ import numpy as np
 
 from creak.location import locate
 from creak.records import Complex, ElementShare, Estimate, NodeLevel, Real, Rig, Scope, Spectra
+from creak.residuals import POWERS, lines_last, pulls, residual_powers
 from creak.significance import line_p_values, pooled_p_value, q_values
-from creak.statistics import Sums, quadratic
+from creak.statistics import Sums
 
 SIGNIFICANT = 1e-3
 """Chance, over all nodes together, that elements are looked for where the structure is linear."""
@@ -46,11 +47,10 @@ def node_to_node(sums: Sums, rig: Rig) -> tuple[Complex, Complex]:
     """
     n = rig.n
     if rig.network is None:
-        inverse = np.linalg.inv(sums.S)
-        diagonal = np.einsum("fii->fi", inverse)
-        G_y = -inverse / diagonal[..., None]
-        G_y[:, np.arange(n), np.arange(n)] = 0.0
-        return 1.0 / diagonal, G_y
+        inputs, pull = _dense_pull(sums.S)
+        diagonal = np.arange(n)
+        pull[diagonal, diagonal] = 0.0
+        return inputs.T, pull.transpose(2, 0, 1)
     G_u = np.zeros((len(rig.lines), n), dtype=np.complex128)
     G_y = np.zeros((len(rig.lines), n, n), dtype=np.complex128)
     inputs = sums.between[:, :n, :n]  # P sum_e U U^H: how strongly each direction of the inputs was excited
@@ -80,6 +80,7 @@ def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) ->
     ----------
     rig : Rig
     sums : Sums
+        Levels are about its ``S``, whatever its moments are about.
     scope : Scope
     time : int
         Recorded time at the end of the last period, ns since the Unix epoch.
@@ -108,27 +109,21 @@ def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) ->
             unavailable.append(
                 "networked levels need a response matrix that can be inverted; this one is singular"
             )
-    q, n, F = rig.q, rig.n, len(rig.lines)
-    eye = np.broadcast_to(np.eye(n, dtype=np.complex128), (F, n, n))
-    response = np.concatenate((sums.S, eye), axis=2)  # Y = S U + R
-    powers = _powers(response, sums)
-    signal = (powers.between + powers.within) / (sums.experiments * sums.periods)
-    classical = np.concatenate((np.zeros((F, n, q), dtype=np.complex128), -eye), axis=2)
-    powers = _Powers(*(np.einsum("fii->fi", moments)[:, q:].real for moments in (sums.between, sums.within)))
-    classical_total, classical_noise = _variances(classical, powers, sums)
+    n, F = rig.n, len(rig.lines)
+    signal, classical, networked = _powers(sums, forms)
+    classical_total, classical_noise = _variances(classical, sums)
     p_value = np.full(n, np.nan)
     line_p = classical_p = np.full((F, n), np.nan)
     testable = sums.periods > 1 and sums.realisations > 1
     if testable:
-        classical_p = _p_values(powers, sums, np.full(n, float(q)))
+        classical_p = _p_values(classical, sums, np.full(n, float(rig.q)))
     elements: tuple[ElementShare, ...] = ()
-    if forms is None:
+    if networked is None:
         total = noise = np.full((F, n), np.nan)
     else:
-        powers = _powers(forms, sums)
-        total, noise = _variances(forms, powers, sums)
+        total, noise = _variances(networked, sums)
         if testable:
-            line_p = _p_values(powers, sums, fitted_parameters(rig))
+            line_p = _p_values(networked, sums, fitted_parameters(rig))
             p_value = pooled_p_value(line_p)
             elements = _elements(rig, sums, p_value)
     spectra = Spectra(
@@ -164,7 +159,7 @@ def _elements(rig: Rig, sums: Sums, p_value: Real) -> tuple[ElementShare, ...]:
     if not p_value.min() * rig.n < SIGNIFICANT:
         return ()
     try:
-        return locate(rig, sums)
+        return locate(rig, sums.normal())
     except np.linalg.LinAlgError:  # more nodes than the noise covariance has degrees of freedom, or a dead one
         return ()
 
@@ -180,28 +175,67 @@ def _neighbours(rig: Rig) -> list[list[int]]:
     return [sorted(indices) for indices in near]
 
 
-def _networked_forms(rig: Rig, sums: Sums) -> Complex:
-    """Rows g of the networked residuals (36) in terms of ``V = [U; R]``, ``(F, n, 2n)``."""
-    G_u, G_y = node_to_node(sums, rig)
+class _Forms(NamedTuple):
+    """Networked residuals (36) as ``e = misfit U + pull R``, lines last, ``(n, n, F)``."""
+
+    misfit: Complex
+    pull: Complex
+
+
+def _networked_forms(rig: Rig, sums: Sums) -> _Forms:
     n = rig.n
+    if rig.network is None:  # G_u + (G_y - I) S vanishes
+        return _Forms(_NONE, _dense_pull(sums.S)[1])
+    G_u, G_y = node_to_node(sums, rig)
     pull = G_y - np.eye(n)  # acts on Y = S U + R
-    if rig.network is None:
-        on_inputs = np.zeros_like(sums.S)  # G_u + (G_y - I) S vanishes for a dense network
-    else:
-        on_inputs = pull @ sums.S
-        on_inputs[:, np.arange(n), np.arange(n)] += G_u
-    return np.concatenate((on_inputs, pull), axis=2)
+    misfit = pull @ sums.S
+    misfit[:, np.arange(n), np.arange(n)] += G_u
+    return _Forms(lines_last(misfit), lines_last(pull))
+
+
+def _dense_pull(S: Complex) -> tuple[Complex, Complex]:
+    """``1 / diag(S^-1)``, ``(n, F)``, and that times ``-S^-1``, ``(n, n, F)``.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+    """
+    S = lines_last(S)
+    inputs, pull = np.empty(S.shape[1:], dtype=np.complex128), np.empty_like(S)
+    if not pulls(S, inputs, pull):
+        raise np.linalg.LinAlgError("the response matrix of a line is singular")
+    return inputs, pull
+
+
+_NONE = np.zeros((0, 0, 0), dtype=np.complex128)
 
 
 class _Powers(NamedTuple):
-    """Quadratic forms ``g A g^H`` of the moments between and within experiments, each ``(F, n)``."""
+    """Sums of squares of residuals, each ``(F, n)``: between and within experiments, and of the periods' sums."""
 
     between: Real
     within: Real
+    common: Real
 
 
-def _powers(forms: Complex, sums: Sums) -> _Powers:
-    return _Powers(quadratic(forms, sums.between), quadratic(forms, sums.within))
+def _powers(sums: Sums, forms: _Forms | None) -> tuple[Real, _Powers, _Powers | None]:
+    """Signal power ``(F, n)``; the powers of classical and networked residuals."""
+    F, n = sums.S.shape[:2]
+    powers = np.empty((POWERS, n, F))
+    S = lines_last(sums.S)
+    residual_powers(
+        lines_last(sums.between),
+        lines_last(sums.within),
+        np.ascontiguousarray(sums.period_sums.swapaxes(1, 2)),
+        S,
+        S if sums.about is None else lines_last(sums.about),
+        _NONE if forms is None else forms.misfit,
+        _NONE if forms is None else forms.pull,
+        powers,
+    )
+    signal, *residuals = powers.swapaxes(1, 2)
+    signal /= sums.experiments * sums.periods
+    return signal, _Powers(*residuals[:3]), None if forms is None else _Powers(*residuals[3:])
 
 
 def _p_values(powers: _Powers, sums: Sums, fitted: Real) -> Real:
@@ -209,16 +243,14 @@ def _p_values(powers: _Powers, sums: Sums, fitted: Real) -> Real:
     return line_p_values(powers.between, powers.within, sums.experiments, sums.periods, fitted)
 
 
-def _variances(forms: Complex, powers: _Powers, sums: Sums) -> tuple[Real, Real]:
+def _variances(powers: _Powers, sums: Sums) -> tuple[Real, Real]:
     """Total (39) and noise (40) variance of residuals, each ``(F, n)``; NaN where the data carry none."""
     E, P = sums.experiments, sums.periods
-    none = np.full(forms.shape[:2], np.nan)
+    none = np.full(powers.between.shape, np.nan)
     noise = powers.within / (E * (P - 1)) if P > 1 else none
     if sums.realisations < 2:
         return none, noise
-    means = np.einsum("fij,pfj->pfi", forms, sums.period_sums) / E
-    common = (means.real**2 + means.imag**2).sum(axis=0)
-    total = (powers.between + powers.within - E * common) / (P * (E - 1))
+    total = (powers.between + powers.within - powers.common / E) / (P * (E - 1))
     return total, noise
 
 

@@ -12,8 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.special
+from numpy.typing import NDArray
 
+from creak.compiling import compiled, vectorised
 from creak.records import Real
+
+_TILE = 64
 
 FALSE_DISCOVERIES = 0.05
 """Share of false ones that is accepted among the lines and nodes that are called significant."""
@@ -40,10 +44,74 @@ def line_p_values(between: Real, within: Real, experiments: int, periods: int, f
     array, (F, n)
         NaN where there is no noise to compare with.
     """
-    free, noise_free = experiments - fitted, experiments * (periods - 1.0)
+    p = np.empty(between.shape[::-1])  # lines last, as the moments are
+    noise_free = experiments * (periods - 1)
+    for node, free in enumerate(experiments - fitted):
+        p[node] = variance_ratio_p_values(between[:, node], within[:, node], float(free), float(noise_free))
+    return p.T
+
+
+_MOST_TERMS = 1000  # of the finite sum: its binomial coefficients stay far below the largest number
+
+
+def variance_ratio_p_values(x: Real, y: Real, free: float, other_free: float) -> Real:
+    """Probability of so large a ratio ``(x/free) / (y/other_free)`` of two sums of squared moduli.
+
+    Parameters
+    ----------
+    x, y : array, (K,)
+        Not below 0.
+    free, other_free : float
+        Complex degrees of freedom, half those of the F law.
+
+    Returns
+    -------
+    array, (K,)
+        NaN where both are 0.
+    """
+    if free == int(free) >= 1 and other_free == int(other_free) >= 1 and free + other_free <= _MOST_TERMS:
+        p = np.empty(len(x))
+        _variance_ratio_tails(np.ascontiguousarray(x), np.ascontiguousarray(y), int(free), int(other_free), p)
+        return p
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = (between / free) / (within / noise_free)
-    return np.asarray(scipy.special.fdtrc(2 * free, 2 * noise_free, ratio), dtype=np.float64)
+        ratio = (x / free) / (y / other_free)
+    return np.asarray(scipy.special.fdtrc(2 * free, 2 * other_free, ratio), dtype=np.float64)
+
+
+@vectorised
+def _variance_ratio_tails(x: Real, y: Real, m: int, k: int, p: Real) -> None:
+    """``P(F(2m, 2k) > (x/m) / (y/k))`` as ``b^k sum_(j < m) C(k + j - 1, j) a^j``.
+
+    With ``a = x/(x + y)`` and ``b = y/(x + y)``: M. Abramowitz, I. A. Stegun, *Handbook of Mathematical
+    Functions*, 26.6.4. All terms are positive, so the result is good to rounding however small it is; the power
+    of b comes in two halves, so that neither overflows.
+    """
+    a, b, total, power = np.empty(_TILE), np.empty(_TILE), np.empty(_TILE), np.empty(_TILE)
+    for first in range(0, x.size, _TILE):
+        n = min(_TILE, x.size - first)
+        for t in range(n):
+            both = x[first + t] + y[first + t]
+            a[t] = x[first + t] / both
+            b[t] = y[first + t] / both
+        for t in range(_TILE):
+            total[t] = 1.0
+        for j in range(m - 1, 0, -1):
+            factor = (k + j - 1.0) / j
+            for t in range(_TILE):
+                total[t] = 1.0 + factor * a[t] * total[t]
+        for half in (k // 2, k - k // 2):
+            left = half
+            for t in range(_TILE):
+                power[t] = b[t]
+            while left > 0:
+                if left % 2 == 1:
+                    for t in range(_TILE):
+                        total[t] *= power[t]
+                left //= 2
+                for t in range(_TILE):
+                    power[t] *= power[t]
+        for t in range(n):
+            p[first + t] = total[t] if not total[t] > 1.0 else 1.0  # by rounding
 
 
 def pooled_p_value(p: Real) -> Real:
@@ -109,16 +177,20 @@ def q_values(p: Real, *, dependent: bool = False) -> Real:
     array
         Of the shape of `p`; NaN where that is.
     """
-    q = np.full(np.shape(p), np.nan)
-    there = np.isfinite(p)
-    tests = p[there]
-    if not tests.size:
-        return q
-    order = np.argsort(tests)
-    ranks = np.arange(1, tests.size + 1)
-    factor = (1.0 / ranks).sum() if dependent else 1.0
-    adjusted = np.minimum.accumulate((tests[order] * factor * tests.size / ranks)[::-1])[::-1]
-    values = np.empty(tests.size)
-    values[order] = np.minimum(adjusted, 1.0)
-    q[there] = values
-    return q
+    tests = np.ascontiguousarray(np.asarray(p).T).ravel()  # in the order of memory
+    order = np.argsort(tests)  # NaN last
+    count = int(np.isfinite(tests).sum())
+    factor = (1.0 / np.arange(1, count + 1)).sum() if dependent else 1.0
+    q = np.full(tests.size, np.nan)
+    _step_up(tests, order[:count], factor, q)
+    return q.reshape(np.shape(p)[::-1]).T
+
+
+@compiled
+def _step_up(tests: Real, order: NDArray[np.intp], factor: float, q: Real) -> None:
+    """Smallest of ``p_(i) m factor / i`` over a test's own rank and all above it, at most 1."""
+    least = 1.0
+    for rank in range(order.size, 0, -1):
+        at = order[rank - 1]
+        least = min(least, tests[at] * factor * order.size / rank)
+        q[at] = least

@@ -1,0 +1,402 @@
+"""Inner loops of the estimates, compiled: powers of residuals about any response matrix, line by line.
+
+As in :mod:`creak.moments` the lines come last in memory, and loops work on tiles of lines whose real and imaginary
+parts are kept apart. Moments are read once and in their lower half, and nothing of their size is written: what an
+estimate needs of a line is worked out while its moments are at hand.
+"""
+
+import numpy as np
+
+from creak.compiling import vectorised
+from creak.records import Complex, Real
+
+_TILE = 32  # lines that are worked on together
+
+POWERS = 7
+"""Powers that :func:`residual_powers` gives, in its order."""
+
+
+@vectorised
+def residual_powers(
+    between: Complex,
+    within: Complex,
+    period_sums: Complex,
+    S: Complex,
+    about: Complex,
+    misfit: Complex,
+    pull: Complex,
+    powers: Real,
+) -> None:
+    """Powers of responses, of residuals ``R = Y - S U`` and of networked residuals ``e = misfit U + pull R``.
+
+    Parameters
+    ----------
+    between, within : array, (q + n, q + n, F)
+        Moments of ``[U; Y - about U]`` as :class:`creak.statistics.Sums` has them.
+    period_sums : array, (P, q + n, F)
+    S, about : array, (n, q, F)
+    misfit : array, (n, n, F) or (0, 0, 0)
+        Nothing where it vanishes.
+    pull : array, (n, n, F) or (0, 0, 0)
+        Nothing if networked residuals are not wanted.
+    powers : array, (7, n, F)
+        Result: ``|Y|^2``, between and within together; of the residuals between, within, and ``|sum_e R|^2``
+        summed over periods; the same three of the networked residuals, if wanted.
+    """
+    P, w, F = period_sums.shape
+    n, q = S.shape[:2]
+    networked = len(pull) > 0
+    start = 0 if len(misfit) > 0 else q
+    real, imag = np.zeros((w, w, _TILE)), np.zeros((w, w, _TILE))
+    S_real, S_imag = np.zeros((n, q, _TILE)), np.zeros((n, q, _TILE))
+    D_real, D_imag = np.zeros((n, q, _TILE)), np.zeros((n, q, _TILE))
+    g_real, g_imag = np.zeros((n, w, _TILE)), np.zeros((n, w, _TILE))
+    v_real, v_imag = np.zeros((w, _TILE)), np.zeros((w, _TILE))
+    total, a, b = np.zeros(_TILE), np.zeros(_TILE), np.zeros(_TILE)
+    for first in range(0, F, _TILE):
+        m = min(_TILE, F - first)
+        for i in range(n):
+            for j in range(q):
+                for t in range(m):
+                    s = S[i, j, first + t]
+                    d = about[i, j, first + t] - s
+                    S_real[i, j, t], S_imag[i, j, t] = s.real, s.imag
+                    D_real[i, j, t], D_imag[i, j, t] = d.real, d.imag
+        if networked:
+            for i in range(n):
+                for j in range(n):
+                    for t in range(m):
+                        g_real[i, q + j, t] = pull[i, j, first + t].real
+                        g_imag[i, q + j, t] = pull[i, j, first + t].imag
+                for j in range(q - start):
+                    for t in range(m):
+                        g_real[i, j, t] = misfit[i, j, first + t].real
+                        g_imag[i, j, t] = misfit[i, j, first + t].imag
+        for kind in range(2):
+            _load(between if kind == 0 else within, q, first, m, real, imag)
+            _shear(D_real, D_imag, real, imag)
+            for i in range(n):
+                _moved(S_real[i], S_imag[i], real, imag, q + i, total, a, b)
+                if kind == 0:
+                    for t in range(m):
+                        powers[0, i, first + t] = total[t]
+                else:
+                    for t in range(m):
+                        powers[0, i, first + t] += total[t]
+                for t in range(m):
+                    powers[1 + kind, i, first + t] = real[q + i, q + i, t]
+                if networked:
+                    _form(g_real[i], g_imag[i], start, real, imag, total, a, b)
+                    for t in range(m):
+                        powers[4 + kind, i, first + t] = total[t]
+        for i in range(n):
+            for t in range(m):
+                powers[3, i, first + t] = 0.0
+                powers[6, i, first + t] = 0.0
+        for p in range(P):
+            for i in range(w):
+                for t in range(m):
+                    v_real[i, t] = period_sums[p, i, first + t].real
+                    v_imag[i, t] = period_sums[p, i, first + t].imag
+            for i in range(n):
+                y_real, y_imag = v_real[q + i], v_imag[q + i]
+                for j in range(q):
+                    d_real, d_imag, u_real, u_imag = D_real[i, j], D_imag[i, j], v_real[j], v_imag[j]
+                    for t in range(_TILE):
+                        y_real[t] += d_real[t] * u_real[t] - d_imag[t] * u_imag[t]
+                        y_imag[t] += d_real[t] * u_imag[t] + d_imag[t] * u_real[t]
+                for t in range(m):
+                    powers[3, i, first + t] += y_real[t] * y_real[t] + y_imag[t] * y_imag[t]
+            if networked:
+                for i in range(n):
+                    for t in range(_TILE):
+                        a[t] = 0.0
+                        b[t] = 0.0
+                    for j in range(start, w):
+                        x_real, x_imag, y_real, y_imag = g_real[i, j], g_imag[i, j], v_real[j], v_imag[j]
+                        for t in range(_TILE):
+                            a[t] += x_real[t] * y_real[t] - x_imag[t] * y_imag[t]
+                            b[t] += x_real[t] * y_imag[t] + x_imag[t] * y_real[t]
+                    for t in range(m):
+                        powers[6, i, first + t] += a[t] * a[t] + b[t] * b[t]
+
+
+@vectorised
+def _load(moments: Complex, q: int, first: int, m: int, real: Real, imag: Real) -> None:
+    """Lower half of a tile of moments, and the upper half of the inputs'."""
+    w = len(moments)
+    for i in range(w):
+        for j in range(i + 1):
+            for t in range(m):
+                real[i, j, t] = moments[i, j, first + t].real
+                imag[i, j, t] = moments[i, j, first + t].imag
+    for i in range(q):
+        for j in range(i):
+            for t in range(m):
+                real[j, i, t] = real[i, j, t]
+                imag[j, i, t] = -imag[i, j, t]
+
+
+@vectorised
+def _shear(D_real: Real, D_imag: Real, real: Real, imag: Real) -> None:
+    """Moments of ``[U; R + D U]`` in the place of those of ``[U; R]``, one tile, in the lower half."""
+    n, q = D_real.shape[:2]
+    for i in range(n):  # R R^H first needs the old R U^H: + D (U R^H)
+        for j in range(i + 1):
+            a, b = real[q + i, q + j], imag[q + i, q + j]
+            for k in range(q):
+                x_real, x_imag, y_real, y_imag = D_real[i, k], D_imag[i, k], real[q + j, k], imag[q + j, k]
+                for t in range(_TILE):
+                    a[t] += x_real[t] * y_real[t] + x_imag[t] * y_imag[t]
+                    b[t] += x_imag[t] * y_real[t] - x_real[t] * y_imag[t]
+    for i in range(n):  # R U^H + D U U^H
+        for j in range(q):
+            a, b = real[q + i, j], imag[q + i, j]
+            for k in range(q):
+                x_real, x_imag, y_real, y_imag = D_real[i, k], D_imag[i, k], real[k, j], imag[k, j]
+                for t in range(_TILE):
+                    a[t] += x_real[t] * y_real[t] - x_imag[t] * y_imag[t]
+                    b[t] += x_real[t] * y_imag[t] + x_imag[t] * y_real[t]
+    for i in range(n):  # and with the new one: + (R U^H) D^H
+        for j in range(i + 1):
+            a, b = real[q + i, q + j], imag[q + i, q + j]
+            for k in range(q):
+                x_real, x_imag, y_real, y_imag = real[q + i, k], imag[q + i, k], D_real[j, k], D_imag[j, k]
+                for t in range(_TILE):
+                    a[t] += x_real[t] * y_real[t] + x_imag[t] * y_imag[t]
+                    b[t] += x_imag[t] * y_real[t] - x_real[t] * y_imag[t]
+
+
+@vectorised
+def _moved(x_real: Real, x_imag: Real, real: Real, imag: Real, row: int, total: Real, a: Real, b: Real) -> None:
+    """Power of ``R_i + x U``, ``(q, tile)``, from the moments of ``[U; R]``; `row` is that of ``R_i``."""
+    for t in range(_TILE):
+        total[t] = real[row, row, t]
+    for j in range(len(x_real)):  # |x_j|^2 A_jj + 2 Re conj(x_j) (A_rj + sum_(k < j) conj(A_jk) x_k)
+        for t in range(_TILE):
+            a[t] = real[row, j, t]
+            b[t] = imag[row, j, t]
+        for k in range(j):
+            z_real, z_imag, y_real, y_imag = x_real[k], x_imag[k], real[j, k], imag[j, k]
+            for t in range(_TILE):
+                a[t] += y_real[t] * z_real[t] + y_imag[t] * z_imag[t]
+                b[t] += y_real[t] * z_imag[t] - y_imag[t] * z_real[t]
+        g_real, g_imag, own = x_real[j], x_imag[j], real[j, j]
+        for t in range(_TILE):
+            power = g_real[t] * g_real[t] + g_imag[t] * g_imag[t]
+            total[t] += power * own[t] + 2.0 * (g_real[t] * a[t] + g_imag[t] * b[t])
+
+
+@vectorised
+def _form(g_real: Real, g_imag: Real, start: int, real: Real, imag: Real, total: Real, a: Real, b: Real) -> None:
+    """``g A g^H`` of a row ``(q + n, tile)`` that begins at channel `start`."""
+    for t in range(_TILE):
+        total[t] = 0.0
+    for i in range(start, len(g_real)):  # |g_i|^2 A_ii + 2 Re conj(g_i) sum_(j < i) conj(A_ij) g_j
+        for t in range(_TILE):
+            a[t] = 0.0
+            b[t] = 0.0
+        for j in range(start, i):
+            x_real, x_imag, y_real, y_imag = g_real[j], g_imag[j], real[i, j], imag[i, j]
+            for t in range(_TILE):
+                a[t] += y_real[t] * x_real[t] + y_imag[t] * x_imag[t]
+                b[t] += y_real[t] * x_imag[t] - y_imag[t] * x_real[t]
+        z_real, z_imag, own = g_real[i], g_imag[i], real[i, i]
+        for t in range(_TILE):
+            power = z_real[t] * z_real[t] + z_imag[t] * z_imag[t]
+            total[t] += power * own[t] + 2.0 * (z_real[t] * a[t] + z_imag[t] * b[t])
+
+
+@vectorised
+def least_squares_powers(
+    between: Complex, within: Complex, S: Complex, about: Complex, plain: Real, least: Real
+) -> bool:
+    """Power of the residuals about ``S`` and about the least-squares approximation, over all lines.
+
+    The latter lies ``K = sum R U^H (sum U U^H)^-1`` of the period means away from `about`; by ``L D L^H`` of the
+    inputs' moments.
+
+    Parameters
+    ----------
+    between, within : array, (q + n, q + n, F)
+        Moments of ``[U; Y - about U]``.
+    S, about : array, (n, q, F)
+    plain, least : array, (n,)
+        Results.
+
+    Returns
+    -------
+    bool
+        False if the inputs of a line do not span all directions; nothing then is known.
+    """
+    w, F = len(between), between.shape[2]
+    n, q = S.shape[:2]
+    real, imag = np.zeros((w, w, _TILE)), np.zeros((w, w, _TILE))
+    L_real, L_imag = np.zeros((q, q, _TILE)), np.zeros((q, q, _TILE))
+    d = np.ones((q, _TILE))
+    D_real, D_imag = np.zeros((n, q, _TILE)), np.zeros((n, q, _TILE))
+    K_real, K_imag = np.zeros((n, q, _TILE)), np.zeros((n, q, _TILE))
+    total, a, b = np.zeros(_TILE), np.zeros(_TILE), np.zeros(_TILE)
+    plain[:] = 0.0
+    least[:] = 0.0
+    for first in range(0, F, _TILE):
+        m = min(_TILE, F - first)
+        for i in range(n):
+            for j in range(q):
+                for t in range(m):
+                    x = about[i, j, first + t] - S[i, j, first + t]
+                    D_real[i, j, t], D_imag[i, j, t] = x.real, x.imag
+        _load(between, q, first, m, real, imag)
+        if not _decompose(q, m, real, imag, L_real, L_imag, d):
+            return False
+        for i in range(n):
+            _minus_divided(real[q + i], imag[q + i], L_real, L_imag, d, K_real[i], K_imag[i])
+        for kind in range(2):
+            if kind == 1:
+                _load(within, q, first, m, real, imag)
+            for i in range(n):
+                _moved(D_real[i], D_imag[i], real, imag, q + i, total, a, b)
+                for t in range(m):
+                    plain[i] += total[t]
+                _moved(K_real[i], K_imag[i], real, imag, q + i, total, a, b)
+                for t in range(m):
+                    least[i] += total[t]
+    return True
+
+
+@vectorised
+def _decompose(q: int, m: int, real: Real, imag: Real, L_real: Real, L_imag: Real, d: Real) -> bool:
+    """``A = L D L^H`` of the first q rows of a tile, `L` of unit diagonal; False if `D` is not above 0."""
+    for j in range(q):
+        for i in range(j, q):
+            a, b = L_real[i, j], L_imag[i, j]
+            for t in range(m):
+                a[t] = real[i, j, t]
+                b[t] = imag[i, j, t]
+            for k in range(j):
+                x_real, x_imag, y_real, y_imag, size = L_real[i, k], L_imag[i, k], L_real[j, k], L_imag[j, k], d[k]
+                for t in range(m):
+                    z_real, z_imag = size[t] * y_real[t], size[t] * y_imag[t]
+                    a[t] -= x_real[t] * z_real + x_imag[t] * z_imag
+                    b[t] -= x_imag[t] * z_real - x_real[t] * z_imag
+            if i == j:
+                for t in range(m):
+                    d[j, t] = a[t]
+                    if not a[t] > 0.0:
+                        return False
+            else:
+                for t in range(m):
+                    a[t] /= d[j, t]
+                    b[t] /= d[j, t]
+    return True
+
+
+@vectorised
+def _minus_divided(
+    row_real: Real, row_imag: Real, L_real: Real, L_imag: Real, d: Real, K_real: Real, K_imag: Real
+) -> None:
+    """``-b A^-1`` of a row ``(q, tile)``: forwards ``z L^H = b``, ``z / D``, backwards ``k L = z``."""
+    q = len(K_real)
+    for j in range(q):
+        a, b = K_real[j], K_imag[j]
+        for t in range(_TILE):
+            a[t] = -row_real[j, t]
+            b[t] = -row_imag[j, t]
+        for k in range(j):
+            x_real, x_imag, y_real, y_imag = K_real[k], K_imag[k], L_real[j, k], L_imag[j, k]
+            for t in range(_TILE):
+                a[t] -= x_real[t] * y_real[t] + x_imag[t] * y_imag[t]
+                b[t] -= x_imag[t] * y_real[t] - x_real[t] * y_imag[t]
+    for j in range(q):
+        for t in range(_TILE):
+            K_real[j, t] /= d[j, t]
+            K_imag[j, t] /= d[j, t]
+    for j in range(q - 1, -1, -1):
+        a, b = K_real[j], K_imag[j]
+        for k in range(j + 1, q):
+            x_real, x_imag, y_real, y_imag = K_real[k], K_imag[k], L_real[k, j], L_imag[k, j]
+            for t in range(_TILE):
+                a[t] -= x_real[t] * y_real[t] - x_imag[t] * y_imag[t]
+                b[t] -= x_real[t] * y_imag[t] + x_imag[t] * y_real[t]
+
+
+@vectorised
+def pulls(S: Complex, inputs: Complex, pull: Complex) -> bool:
+    """Rows of the dense network: ``pull = -S^-1 / diag(S^-1)``, by Gauss-Jordan elimination with partial pivoting.
+
+    Parameters
+    ----------
+    S : array, (n, n, F)
+    inputs : array, (n, F)
+        Result: ``1 / diag(S^-1)``.
+    pull : array, (n, n, F)
+        Result; -1 on its diagonal.
+
+    Returns
+    -------
+    bool
+        False if the matrix of a line is singular.
+    """
+    n, _, F = S.shape
+    w = 2 * n
+    real, imag = np.zeros((n, w, _TILE)), np.zeros((n, w, _TILE))  # S beside the unit matrix
+    larger, a, b = np.zeros(_TILE), np.zeros(_TILE), np.zeros(_TILE)
+    for first in range(0, F, _TILE):
+        m = min(_TILE, F - first)
+        for i in range(n):
+            for j in range(n):
+                for t in range(m):
+                    real[i, j, t] = S[i, j, first + t].real
+                    imag[i, j, t] = S[i, j, first + t].imag
+                for t in range(_TILE):
+                    real[i, n + j, t] = 1.0 if i == j else 0.0
+                    imag[i, n + j, t] = 0.0
+        for k in range(n):
+            for i in range(k + 1, n):  # the largest pivot of each line comes up row by row
+                for t in range(_TILE):
+                    here, there = abs(real[k, k, t]) + abs(imag[k, k, t]), abs(real[i, k, t]) + abs(imag[i, k, t])
+                    larger[t] = 1.0 if there > here else 0.0
+                for j in range(k, w):
+                    for t in range(_TILE):
+                        x, y, z, v = real[k, j, t], real[i, j, t], imag[k, j, t], imag[i, j, t]
+                        real[k, j, t] = y if larger[t] > 0.0 else x
+                        real[i, j, t] = x if larger[t] > 0.0 else y
+                        imag[k, j, t] = v if larger[t] > 0.0 else z
+                        imag[i, j, t] = z if larger[t] > 0.0 else v
+            for t in range(m):
+                power = real[k, k, t] * real[k, k, t] + imag[k, k, t] * imag[k, k, t]
+                if not power > 0.0:
+                    return False
+                a[t] = real[k, k, t] / power
+                b[t] = -imag[k, k, t] / power
+            for j in range(k + 1, w):
+                for t in range(_TILE):
+                    x, y = real[k, j, t], imag[k, j, t]
+                    real[k, j, t] = x * a[t] - y * b[t]
+                    imag[k, j, t] = x * b[t] + y * a[t]
+            for i in range(n):
+                if i != k:
+                    for j in range(k + 1, w):
+                        for t in range(_TILE):
+                            x, y, z, v = real[i, k, t], imag[i, k, t], real[k, j, t], imag[k, j, t]
+                            real[i, j, t] -= x * z - y * v
+                            imag[i, j, t] -= x * v + y * z
+        for i in range(n):
+            for t in range(m):
+                x, y = real[i, n + i, t], imag[i, n + i, t]
+                power = x * x + y * y
+                a[t] = x / power
+                b[t] = -y / power
+                inputs[i, first + t] = complex(a[t], b[t])
+            for j in range(n):
+                for t in range(m):
+                    x, y = real[i, n + j, t], imag[i, n + j, t]
+                    pull[i, j, first + t] = complex(b[t] * y - a[t] * x, -a[t] * y - b[t] * x)
+            for t in range(m):
+                pull[i, i, first + t] = -1.0
+    return True
+
+
+def lines_last(matrices: Complex) -> Complex:
+    """``(F, rows, columns)`` as these loops take them, ``(rows, columns, F)``."""
+    return np.ascontiguousarray(matrices.transpose(1, 2, 0))
