@@ -6,7 +6,6 @@ import numpy as np
 
 from conftest import make_rig
 from creak.baseline import Baseline
-from creak.codec import memory_bytes
 from creak.monitor import Monitor
 from creak.records import (
     AlarmChange,
@@ -152,7 +151,7 @@ def fill_beam(store):
     sink.take(make_fault())
     sink.tick(1.0)
     learnt = Baseline("3", 0.02, 1e-9, Trend(25, 6.1, 4.0), realisations=100, complete=True, since=START)
-    sink.save(START + 8 * SECOND, memory_bytes(replace(Monitor(BEAM).memory, baselines=(learnt,))))
+    sink.save(replace(Monitor(BEAM).memory, time=START + 8 * SECOND, baselines=(learnt,)))
     put_recording(
         store, RecordingEntry("beam-1-000", "beam", "beam-1", "var/beam.mcap", START, None, "writing", 4096)
     )

@@ -7,7 +7,6 @@ from conftest import make_rig
 from conftest import make_run as make_real_run
 from creak.alarm_records import BaselineRules, Limits
 from creak.api import create_app
-from creak.codec import memory_bytes
 from creak.monitor import Monitor
 from creak.records import AlarmChange, Counts, RunEnd, RunStatus
 from creak.sinks import actions
@@ -39,7 +38,7 @@ class Bench:
                 if isinstance(outcome, AlarmChange):
                     self.sink.take(outcome)
         if save:
-            self.sink.save(self.monitor.memory.time, memory_bytes(self.monitor.memory))
+            self.sink.save(self.monitor.memory)
 
     def end(self):
         self.sink.close(RunEnd(self.monitor.time, RunStatus.COMPLETED, Counts()))

@@ -3,6 +3,7 @@
 import contextlib
 import sqlite3
 import time
+from dataclasses import replace
 
 import pytest
 import sqlalchemy as sa
@@ -10,14 +11,13 @@ import sqlalchemy as sa
 from conftest import make_frames, make_rig
 from conftest import make_run as make_real_run
 from creak.alarm_records import Action, ActionKind
-from creak.codec import memory_of
 from creak.errors import StorageError
 from creak.monitor import Monitor
 from creak.records import AlarmChange, Counts, RunEnd, RunStatus
 from creak.sinks import actions, queries, tables
 from creak.sinks.background import BackgroundStore
 from creak.sinks.database import open_store
-from creak.sinks.restart import saved_state
+from creak.sinks.restart import saved_memory
 from creak.sinks.store import StoreSink
 from creak.worker import Worker
 from store_records import START, feed, make_alarm, make_estimate, make_run
@@ -105,21 +105,18 @@ def test_record_that_can_never_be_stored_does_not_block_those_behind_it(store, c
     desk.close(END)
 
 
-def test_a_store_that_lags_behind_saves_the_newest_state_and_not_all_that_wait(store, tmp_path):
+def test_a_store_that_lags_behind_saves_the_newest_state_and_not_all_that_wait(store, tmp_path, monkeypatch):
     """Kills a queue that grows because states are written that are out of date."""
     sink = StoreSink(store)
-    desk, packed = BackgroundStore(store, sink), []
+    saved, save = [], sink.save
+    monkeypatch.setattr(sink, "save", lambda memory: (saved.append(memory.time), save(memory)))
+    desk = BackgroundStore(store, sink)
     desk.open(RUN)
-
-    def state(number):
-        packed.append(number)
-        return b"%d" % number
-
     with locked(tmp_path):
         for number in range(50):
-            desk.save(START + number, lambda number=number: state(number))
-    wait_for(lambda: saved_state(store, "beam") == b"49")
-    assert len(set(packed)) < 10
+            desk.save(replace(Monitor(RUN).memory, time=START + number))
+    wait_for(lambda: (memory := saved_memory(store, "beam")) and memory.time == START + 49)
+    assert len(set(saved)) < 10
     desk.close(END)
 
 
@@ -174,7 +171,7 @@ def test_operator_is_heard_and_a_restart_remembers(store):
         assert actions.waiting(connection, "beam", 0) == []
     worker.stop()
     assert worker.error is None
-    memory = memory_of(saved_state(store, "beam"))
+    memory = saved_memory(store, "beam")
     second = Monitor(make_real_run(make_rig(name="beam"), start=memory.time, run_id="second"), memory)
     assert second.alarms["3"] == "acknowledged"
     again = make_frames(second.run, 6, cubic=0, noise=1e-3)

@@ -13,14 +13,14 @@ from creak import alarms
 from creak.alarm_records import Action, ActionKind, AlarmRules, AlarmState, Conflict
 from creak.api import create_app
 from creak.baseline import Baseline
-from creak.codec import memory_bytes, memory_of
+from creak.codec import memory_bytes
 from creak.monitor import Monitor
 from creak.records import AlarmChange, Counts, RunEnd, RunStatus
 from creak.sinks import actions
 from creak.sinks.background import BackgroundStore
 from creak.sinks.database import open_store
 from creak.sinks.recorder import Recorder
-from creak.sinks.restart import saved_state
+from creak.sinks.restart import saved_memory
 from creak.sinks.store import StoreSink
 from creak.sources.recording import Recording
 from creak.trend import Trend
@@ -100,7 +100,7 @@ def left(store, learnt=()):
     """A run of the rig that its worker has left, with what has been learnt."""
     sink = opened(store, RUN)
     feed(sink, RUN, 2)
-    sink.save(START + 2 * SECOND, memory_bytes(replace(Monitor(RUN).memory, baselines=tuple(learnt))))
+    sink.save(replace(Monitor(RUN).memory, time=START + 2 * SECOND, baselines=tuple(learnt)))
     sink.close(RunEnd(START + 2 * SECOND, RunStatus.COMPLETED, Counts()))
 
 
@@ -123,7 +123,7 @@ def test_without_a_worker_over_rest_and_a_later_worker_learns_of_it(store):
         (entry,) = get(client, f"{V1}/alarms", state="out_of_service")["items"]
         assert (entry["node"], entry["by"], entry["comment"], entry["active"]) == ("2", *WHO.values(), False)
         sink = StoreSink(store)
-        memory = memory_of(saved_state(store, "beam"))
+        memory = saved_memory(store, "beam")
         later = replace(RUN, id="later", start=memory.time, before=memory_bytes(memory))
         monitor = Monitor(later, memory)
         desk = BackgroundStore(store, sink)
@@ -167,7 +167,7 @@ def test_relearn_of_a_node_that_never_alarmed(store):
         assert post(client, "2/relearn")["alarm"] == "normal"
     with store.read() as connection:
         (waiting,) = actions.waiting(connection, "beam", 0)
-    monitor = Monitor(RUN, memory_of(saved_state(store, "beam")))
+    monitor = Monitor(RUN, saved_memory(store, "beam"))
     (told,) = monitor.act(waiting.action)
     assert (told.event, told.by, told.comment) == ("relearning", *WHO.values())
     assert monitor.baselines[0].successor is not None

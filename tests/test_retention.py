@@ -15,7 +15,6 @@ from creak.sinks import actions, operator_tables, queries, tables
 from creak.sinks.catalogue import CataloguedRecorder
 from creak.sinks.database import open_store
 from creak.sinks.recorder import Recorder
-from creak.sinks.restart import saved_state
 from creak.sinks.retention import DAY, SECOND, Thinning, keep_budget, thin_history
 from creak.sinks.store import RecordingEntry, put_recording
 from store_places import PLACES, place
@@ -218,15 +217,6 @@ def test_step_that_fails_leaves_the_older_database_as_it_was(url, monkeypatch):
     store = open_store(url)
     assert times(store) == [0, 1]
     store.close()
-
-
-def test_saved_state_comes_back_and_the_newest_counts(store):
-    sink = opened(store, RUN)
-    assert saved_state(store, "beam") is None
-    for payload in (b"first", bytes(range(256)) * 1000):
-        sink.save(START, payload)
-    assert saved_state(store, "beam") == bytes(range(256)) * 1000
-    assert saved_state(store, "bench") is None
 
 
 def test_place_of_a_recording_that_is_gone_counts_nothing(store):

@@ -229,7 +229,7 @@ def test_an_owner_that_was_paused_can_write_nothing_any_more(store, connection, 
         pass
     assert second.monitor.counts.realisations == 8
     with store.read() as transaction:
-        assert fleet.saved(transaction, RIG.name, 3).position.blocks == 8
+        assert fleet.saved(transaction, RIG.name).position.blocks == 8
 
 
 def test_rigs_are_shared_and_given_back(store):

@@ -17,10 +17,9 @@ from creak.broker import Broker
 from creak.codec.letters import Letter
 from creak.digests import Outcome, summed
 from creak.errors import RecordingError
-from creak.judgement import Block
 from creak.monitor import Checkpoint, Monitor
-from creak.records import AlarmChange, Complex, Estimate, Fault, FaultKind, Rig, Run
-from creak.sinks import actions, fleet
+from creak.records import AlarmChange, Estimate, Fault, FaultKind, Rig, Run
+from creak.sinks import actions, fleet, kept_sums
 from creak.sinks.actions import Asked
 from creak.sinks.alarm_rows import told_last
 from creak.sinks.database import Store
@@ -106,14 +105,14 @@ class RigAnalysis:
         self._joined = _Joined()
         self._sink = StoreSink(self._joined)
         self._refused = False
-        self._about: Complex | None = None  # matrix that the blocks in the store are taken about
         self.monitor: Monitor | None = None
         self.live_until: tuple[int, float] | None = None  # up to when the rig was heard, and when that was known
         self.heard_at: int | None = None
         name = plan.rig.name
         with store.read() as connection:
-            kept = fleet.saved(connection, name, plan.window)
+            kept = fleet.saved(connection, name)
         self._position = kept.position
+        self._sums = kept.sums.known  # what the store has of them
         if kept.opening is not None and kept.checkpoint is not None:
             self._resume(kept)
         same = kept.position.stream == identity
@@ -131,10 +130,8 @@ class RigAnalysis:
         assert kept.checkpoint is not None
         run = self.plan.applied(codec.decode_opening(kept.opening).run)
         checkpoint = codec.unpacked(Checkpoint, kept.checkpoint)
-        window = tuple(codec.unpacked(Block, data) for data in kept.window)
-        whole = None if kept.whole is None else codec.unpacked(Block, kept.whole)
-        memory = replace(checkpoint.memory, blocks=window)
-        self.monitor = Monitor.resumed(run, replace(checkpoint, memory=memory, whole=whole))
+        memory = replace(checkpoint.memory, blocks=kept.sums.blocks[-self.plan.window :])
+        self.monitor = Monitor.resumed(run, replace(checkpoint, memory=memory, whole=kept.sums.whole))
         self._sink.resume(run, self.monitor.counts)
         heard = memory.quality.heard
         if heard is not None:  # it may have been heard meanwhile: its silence counts from now
@@ -260,8 +257,9 @@ class RigAnalysis:
             position = Position(letter.place, self._identity, self.reader.sequence, blocks)
         small = replace(checkpoint, memory=replace(checkpoint.memory, blocks=()), whole=None)
         state = codec.encode(codec.Opening(replace(run, before=b""))), codec.packed(small)
-        sums = self._changed_sums(position.blocks) if complete else {}
-        whole = codec.packed(checkpoint.whole) if sums and checkpoint.whole is not None else None
+        known = replace(self._sums, whole=None) if opening else self._sums
+        window, whole = checkpoint.memory.blocks, checkpoint.whole
+        sums = kept_sums.changes(known, run.window, window, whole) if complete else None
         # Effects and position come about together: what a power failure takes back is read from the stream anew.
         # So the disk need not be waited for, except where somebody is told.
         durable = answer is not None or any(isinstance(outcome, AlarmChange) for outcome in outcomes)
@@ -270,8 +268,9 @@ class RigAnalysis:
             self._joined.connection = connection
             if opening:
                 self._sink.open(run)
-                fleet.forget_whole(connection, name)
-            fleet.keep_sums(connection, name, run.window, sums, whole)
+                kept_sums.forget_whole(connection, kept_sums.fleet_sums, name)
+            if sums is not None:
+                kept_sums.write(connection, kept_sums.fleet_sums, name, sums)
             for outcome in outcomes:
                 self._sink.take(outcome)
             self._sink.count(monitor.counts, monitor.time, self.heard_at)
@@ -282,14 +281,4 @@ class RigAnalysis:
             if answer is not None:
                 actions.answer(connection, *answer)
         self._position = position
-
-    def _changed_sums(self, blocks: int) -> dict[int, bytes]:
-        """Pack the blocks that the store lacks, by number: the newest, or all if they are about a new matrix."""
-        assert self.monitor is not None
-        window = self.monitor.memory.blocks
-        about = window[-1].sums.about
-        all_anew = about is not self._about
-        self._about = about
-        return {
-            blocks - age: codec.packed(block) for age, block in enumerate(reversed(window)) if all_anew or age == 0
-        }
+        self._sums = known if sums is None else sums.after

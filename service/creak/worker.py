@@ -144,9 +144,8 @@ class _Path:
 
     def _save(self, desk: Desk) -> None:
         assert isinstance(self.monitor, Monitor)  # a gatherer has nothing that outlives its run, and no desk
-        memory = self.monitor.memory
         try:
-            desk.save(memory.time, lambda: memory_bytes(memory))
+            desk.save(self.monitor.memory)
         except StorageError as error:
             _log.warning("%s: what a restart needs was not saved: %s", self.monitor.run.rig.name, error)
 

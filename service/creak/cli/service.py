@@ -27,7 +27,7 @@ from creak.cli.progress import prepare_loops
 from creak.cli.recordings import replay_line
 from creak.cli.sources import make_folder, named_rigs, open_source, plan_of, simulated_rig
 from creak.cli.supervision import Supervisor
-from creak.codec import memory_of, time_json
+from creak.codec import time_json
 from creak.config.rig import load_rig
 from creak.config.service import (
     ServiceSettings,
@@ -44,7 +44,7 @@ from creak.sinks.background import BackgroundStore
 from creak.sinks.catalogue import CataloguedRecorder
 from creak.sinks.protocol import Sink
 from creak.sinks.recorder import Recorder
-from creak.sinks.restart import recorded_until, saved_state
+from creak.sinks.restart import recorded_until, saved_memory
 from creak.sinks.store import Store, StoreSink, open_store
 from creak.sinks.upkeep import Upkeep
 from creak.sources.protocol import Source
@@ -270,13 +270,12 @@ def _memory(store: Store, source: Source) -> Memory | None:
     run = source.run
     if run.source == "recording":
         return None
-    saved = saved_state(store, run.rig.name)
-    if saved is None:
-        return None
     try:
-        memory = memory_of(saved)
+        memory = saved_memory(store, run.rig.name)
     except InputError as error:
         _log.warning("%s: the monitor begins afresh: %s", run.rig.name, error)
+        return None
+    if memory is None:
         return None
     reached = max(memory.time, recorded_until(store, run.rig.name))
     if reached <= run.start:

@@ -1,8 +1,9 @@
 """What monitors keep and tell each other as bytes, and back: memories, checkpoints, digests, sums.
 
-A JSON text that names every record and field, and behind it the bytes of the arrays that it refers to. Only the
-records listed here are ever made from it, so a store or a broker that somebody else can write to is no way into
-the process.
+A JSON text that names every record and field, and behind it the bytes of the arrays that it refers to. Of
+Hermitian matrices the lower half is written, of arrays of zeros nothing; every array comes back to the last bit.
+Only the records listed here are ever made from it, so a store or a broker that somebody else can write to is no
+way into the process.
 """
 
 import dataclasses
@@ -38,9 +39,11 @@ _RECORDS: Mapping[str, type[Any]] = {
     )
 }  # fmt: skip
 _ENUMS: Mapping[str, type[Enum]] = {kind.__name__: kind for kind in (Verdict, FaultKind, FrameStatus)}
-_FORMAT = 2
+_FORMAT = 3
+_READ = (2, 3)  # the first had every array in full
 
-_T = TypeVar("_T", Memory, Checkpoint, Digest, Block)
+_Packable = Memory | Checkpoint | Digest | Block | NDArray[Any]
+_T = TypeVar("_T", Memory, Checkpoint, Digest, Block, NDArray[Any])
 
 
 def memory_bytes(memory: Memory) -> bytes:
@@ -59,15 +62,15 @@ def memory_of(data: bytes) -> Memory:
     return unpacked(Memory, data)
 
 
-def packed(value: Memory | Checkpoint | Digest | Block) -> bytes:
-    """Write a record as bytes."""
+def packed(value: _Packable) -> bytes:
+    """Write a record, or an array, as bytes."""
     arrays = _Arrays()
     text = json.dumps({"format": _FORMAT, "memory": _plain(value, arrays)}, separators=(",", ":")).encode()
     return b"".join((len(text).to_bytes(8, "little"), text, *arrays.parts))
 
 
 def unpacked(kind: type[_T], data: bytes) -> _T:
-    """Read a record of a kind from bytes.
+    """Read a record of a kind, or an array, from bytes.
 
     Raises
     ------
@@ -98,8 +101,8 @@ def _read(data: bytes, part: Callable[[Any], Any]) -> Any:
     length = int.from_bytes(data[:8], "little")
     try:
         document = json.loads(data[8 : 8 + length])
-        if document["format"] != _FORMAT:
-            raise RecordingError(f"a monitor's state of format {document['format']}; this creak reads {_FORMAT}")
+        if document["format"] not in _READ:
+            raise RecordingError(f"a monitor's state of format {document['format']}; this creak reads {_READ}")
         return _made(part(document["memory"]), memoryview(data)[8 + length :])
     except RecordingError:
         raise
@@ -121,11 +124,66 @@ class _Arrays:
             axes = sorted(range(value.ndim), key=lambda axis: -value.strides[axis])
             little = value.dtype.newbyteorder("<")
             stored = np.ascontiguousarray(value.transpose(axes), dtype=little)
-            place = ["ordered", little.str, list(stored.shape), self._size, axes]
-            self.parts.append(stored.tobytes())
-            self._size += stored.nbytes
+            shape = list(stored.shape)
+            kind, parts = "ordered", stored
+            if stored.size and not stored.reshape(-1).view(np.uint8).any():
+                kind, parts = "zeros", stored[:0]
+            elif (half := _lower_half(value)) is not None:
+                kind, parts = "hermitian", half
+            place = [kind, little.str, shape, self._size, axes]
+            self.parts.append(parts.tobytes())
+            self._size += parts.nbytes
             self._known[id(value)] = value, place
         return self._known[id(value)][1]
+
+
+def _lower_half(matrices: NDArray[Any]) -> NDArray[np.float64] | None:
+    """Rows of the lower halves of ``(F, w, w)``, as ``(w*w, F)``: diagonal, real and imaginary parts.
+
+    None if they are not Hermitian to the last bit, signs of zeros included.
+    """
+    if matrices.dtype != np.complex128 or matrices.ndim != 3 or matrices.shape[1] != matrices.shape[2]:
+        return None
+    if not (_hermitian(matrices[:1]) and _hermitian(matrices)):  # most others are known by their first line
+        return None
+    w = matrices.shape[1]
+    half = np.empty((w * w, len(matrices)), dtype="<f8")
+    rows = iter(half)
+    for i in range(w):
+        next(rows)[:] = matrices[:, i, i].real
+        for j in range(i):
+            next(rows)[:] = matrices[:, i, j].real
+            next(rows)[:] = matrices[:, i, j].imag
+    return half
+
+
+def _hermitian(matrices: NDArray[Any]) -> bool:
+    for i in range(matrices.shape[1]):
+        if _bits(matrices[:, i, i].imag).any():
+            return False
+        for j in range(i):
+            lower, upper = matrices[:, i, j], matrices[:, j, i]
+            if not np.array_equal(_bits(lower.real), _bits(upper.real)):
+                return False
+            if not np.array_equal(_bits(lower.imag), _bits(-upper.imag)):
+                return False
+    return True
+
+
+def _bits(values: NDArray[np.float64]) -> NDArray[np.int64]:
+    return values.view(np.int64)
+
+
+def _filled(half: NDArray[np.float64], matrices: NDArray[Any]) -> NDArray[Any]:
+    """Write what `_lower_half` gave into matrices ``(F, w, w)``, whatever their order in memory."""
+    rows = iter(half)
+    for i in range(matrices.shape[1]):
+        matrices[:, i, i] = next(rows)
+        for j in range(i):
+            matrices[:, i, j].real = matrices[:, j, i].real = next(rows)
+            matrices[:, i, j].imag = imaginary = next(rows)
+            matrices[:, j, i].imag = -imaginary
+    return matrices
 
 
 def _plain(value: Any, arrays: _Arrays) -> Any:
@@ -161,6 +219,12 @@ def _made(value: Any, arrays: memoryview) -> Any:
             count = int(np.prod(shape, dtype=np.int64))
             stored = np.frombuffer(arrays, dtype, count, offset).reshape(shape).copy()
             return stored.transpose(np.argsort(axes[0])) if axes else stored
+        case "zeros":
+            return np.zeros(tuple(rest[1]), np.dtype(rest[0])).transpose(np.argsort(rest[3]))
+        case "hermitian":
+            matrices = np.empty(tuple(rest[1]), np.dtype(rest[0])).transpose(np.argsort(rest[3]))
+            half = np.frombuffer(arrays, "<f8", matrices.size, rest[2])
+            return _filled(half.reshape(matrices.shape[1] ** 2, -1 if matrices.size else 0), matrices)
         case "tuple":
             return tuple(_made(item, arrays) for item in rest)
         case "set":

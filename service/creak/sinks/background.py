@@ -18,6 +18,7 @@ import sqlalchemy as sa
 from creak.alarm_records import Conflict
 from creak.digests import Outcome
 from creak.errors import StorageError
+from creak.monitor import Memory
 from creak.records import AlarmChange, Frame, Run, RunEnd
 from creak.sinks import actions
 from creak.sinks.actions import Asked
@@ -136,23 +137,15 @@ class BackgroundStore:
 
         self._add(write, must=True)
 
-    def save(self, recorded: int, pack: Callable[[], bytes]) -> None:
-        """Queue what the monitor has to know after a restart.
-
-        Parameters
-        ----------
-        recorded : int
-            Recorded time up to which it reaches.
-        pack : callable
-            Makes the bytes; called in the thread of the store.
-        """
+    def save(self, memory: Memory) -> None:
+        """Queue what the monitor has to know after a restart; it is packed in the thread of the store."""
         self._saves += 1
         number = self._saves
 
         def write() -> None:
             now = time.monotonic()
             if number == self._saves or now - self._saved_at >= _SAVE_SECONDS:  # else a newer one waits
-                self._sink.save(recorded, pack())
+                self._sink.save(memory)
                 self._saved_at = now
 
         self._add(write, must=False)

@@ -14,11 +14,12 @@ import sqlalchemy as sa
 
 from creak.codec.letters import Place
 from creak.errors import ServiceError
+from creak.sinks import kept_sums
+from creak.sinks.kept_sums import Kept, fleet_sums
 from creak.sinks.operator_tables import leases
 from creak.sinks.tables import metadata, runs
 
 _ANALYSER = "analyser/"
-_WHOLE = -1  # slot of the sums of the whole run; the window's count from 0
 
 fleet = sa.Table(
     "fleet",
@@ -36,18 +37,6 @@ fleet = sa.Table(
     sa.Column("checkpoint", sa.LargeBinary),
 )
 """One row a rig: its owner, and where its monitor stands but for the sums."""
-
-fleet_sums = sa.Table(
-    "fleet_sums",
-    metadata,
-    sa.Column("rig", sa.Text, primary_key=True),
-    sa.Column("slot", sa.Integer, primary_key=True),
-    sa.Column("number", sa.BigInteger, nullable=False),  # value of `blocks` when it was written
-    sa.Column("payload", sa.LargeBinary, nullable=False),
-)
-"""Sums of the last realisations, in a ring, and of the whole run: a realisation replaces two of them, not all."""
-
-ADDED = (fleet, fleet_sums)
 
 
 class LostRigError(ServiceError):
@@ -85,16 +74,13 @@ class Saved:
     position : Position
     opening, checkpoint : bytes or None
         None before the first digest.
-    window : tuple of bytes
-        Blocks of the last realisations, oldest first.
-    whole : bytes or None
+    sums : Kept
     """
 
     position: Position
     opening: bytes | None
     checkpoint: bytes | None
-    window: tuple[bytes, ...]
-    whole: bytes | None
+    sums: Kept
 
 
 def now_ns(connection: sa.Connection) -> int:
@@ -201,58 +187,20 @@ def keep(
         raise LostRigError(f"{rig}: is analysed elsewhere now")
 
 
-def keep_sums(
-    connection: sa.Connection, rig: str, window: int, blocks: Mapping[int, bytes], whole: bytes | None
-) -> None:
-    """Replace the oldest blocks of the window, and the sums of the run, in a transaction begun by `keep`.
+def saved(connection: sa.Connection, rig: str) -> Saved:
+    """Return what is kept of a rig.
 
-    Parameters
-    ----------
-    connection : sqlalchemy.Connection
-    rig : str
-    window : int
-        R, blocks that are kept.
-    blocks : mapping of int to bytes
-        New ones by their number (`Position.blocks`); empty if nothing has changed.
-    whole : bytes or None
-        Sums of the run.
+    Raises
+    ------
+    RecordingError
+        If its sums are of another version.
     """
-    slots = [(number % window, number, payload) for number, payload in blocks.items()]
-    if slots and whole is not None:
-        slots.append((_WHOLE, max(blocks), whole))
-    for slot, number, payload in slots:
-        row = {"number": number, "payload": payload}
-        place = (fleet_sums.c.rig == rig, fleet_sums.c.slot == slot)
-        if not connection.execute(sa.update(fleet_sums).where(*place).values(row)).rowcount:
-            connection.execute(sa.insert(fleet_sums).values(rig=rig, slot=slot, **row))
-
-
-def forget_whole(connection: sa.Connection, rig: str) -> None:
-    """Remove the sums of a run that is over."""
-    connection.execute(sa.delete(fleet_sums).where(fleet_sums.c.rig == rig, fleet_sums.c.slot == _WHOLE))
-
-
-def saved(connection: sa.Connection, rig: str, window: int) -> Saved:
-    """Return what is kept of a rig."""
     row = connection.execute(sa.select(fleet).where(fleet.c.rig == rig)).mappings().first()
     if row is None:
-        return Saved(Position(), None, None, (), None)
+        return Saved(Position(), None, None, Kept())
     place = None if row["begun"] is None else (row["begun"], row["realisation"])
     position = Position(place, row["stream"], row["sequence"], row["blocks"])
-    sums = fleet_sums
-    whole = sa.select(sums.c.payload).where(sums.c.rig == rig, sums.c.slot == _WHOLE)
-    ring = (
-        sa.select(sums.c.payload)
-        .where(sums.c.rig == rig, sums.c.slot != _WHOLE, sums.c.number > position.blocks - window)
-        .order_by(sums.c.number)
-    )
-    return Saved(
-        position,
-        row["opening"],
-        row["checkpoint"],
-        tuple(connection.execute(ring).scalars()),
-        connection.execute(whole).scalar(),
-    )
+    return Saved(position, row["opening"], row["checkpoint"], kept_sums.read(connection, fleet_sums, rig))
 
 
 def beat(connection: sa.Connection, now: int, heard: Mapping[str, int | None]) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import sqlalchemy as sa
 
-from creak.sinks import fleet, operator_tables, tables
+from creak.sinks import fleet, kept_sums, operator_tables, tables
 
 
 def _to_2(connection: sa.Connection) -> None:
@@ -31,10 +31,15 @@ def _to_4(connection: sa.Connection) -> None:
 
 def _to_5(connection: sa.Connection) -> None:
     """Add the rigs that several processes share."""
-    tables.metadata.create_all(connection, tables=fleet.ADDED)
+    tables.metadata.create_all(connection, tables=[fleet.fleet, kept_sums.fleet_sums])
 
 
-STEPS: Mapping[int, Callable[[sa.Connection], None]] = {2: _to_2, 3: _to_3, 4: _to_4, 5: _to_5}
+def _to_6(connection: sa.Connection) -> None:
+    """Sums of realisations in rows of their own; a state with the sums in it is read as it is."""
+    tables.metadata.create_all(connection, tables=[kept_sums.state_sums])
+
+
+STEPS: Mapping[int, Callable[[sa.Connection], None]] = {2: _to_2, 3: _to_3, 4: _to_4, 5: _to_5, 6: _to_6}
 """Version to the step that reaches it from the one before."""
 
 

@@ -1,10 +1,11 @@
 """What every sink of records promises."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from creak.alarm_records import Conflict
 from creak.digests import Outcome
+from creak.monitor import Memory
 from creak.records import Run, RunEnd
 from creak.sinks.actions import Asked
 
@@ -46,6 +47,6 @@ class Desk(Protocol):
         """Tell that an action was carried out, or why not; after the records that came of it."""
         ...
 
-    def save(self, recorded: int, pack: Callable[[], bytes]) -> None:
-        """Keep the monitor's state, which reaches up to a recorded time; it is packed elsewhere."""
+    def save(self, memory: Memory) -> None:
+        """Keep what the monitor knows."""
         ...

@@ -1,20 +1,35 @@
 """What a run takes over from the one before it: the monitor's state, recorded time, and the alarms that stand."""
 
+from dataclasses import replace
+
 import sqlalchemy as sa
 
 from creak.alarms import end, of_change
 from creak.codec import memory_of
+from creak.monitor import Memory
 from creak.records import AlarmState, Run
-from creak.sinks import operator_tables, tables
+from creak.sinks import kept_sums, operator_tables, tables
 from creak.sinks.alarm_rows import change_of, put_alarm
 from creak.sinks.database import Store
 
 
-def saved_state(store: Store, rig: str) -> bytes | None:
-    """Return what a rig's monitor saved last; None if there is nothing."""
+def saved_memory(store: Store, rig: str) -> Memory | None:
+    """Return what a rig's monitor saved last; None if there is nothing.
+
+    Raises
+    ------
+    RecordingError
+        If it is none of this version's.
+    """
     states = operator_tables.states
     with store.read() as connection:
-        return connection.execute(sa.select(states.c.payload).where(states.c.rig == rig)).scalar()
+        payload = connection.execute(sa.select(states.c.payload).where(states.c.rig == rig)).scalar()
+        if payload is None:
+            return None
+        memory = memory_of(payload)
+        if memory.blocks:  # up to version 5 they were in it
+            return memory
+        return replace(memory, blocks=kept_sums.read(connection, kept_sums.state_sums, rig).blocks)
 
 
 def recorded_until(store: Store, rig: str) -> int:

@@ -8,15 +8,16 @@ they are gathered and written about once a second.
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 import sqlalchemy as sa
 
-from creak.codec import detection_json, element_json, fault_json, node_json, time_json
+from creak.codec import detection_json, element_json, fault_json, memory_bytes, node_json, time_json
 from creak.config.rig import rig_toml
 from creak.digests import Outcome
+from creak.monitor import Memory
 from creak.records import (
     AlarmChange,
     AlarmState,
@@ -29,7 +30,7 @@ from creak.records import (
     RunStatus,
     Spectra,
 )
-from creak.sinks import operator_tables, tables
+from creak.sinks import kept_sums, operator_tables, tables
 from creak.sinks.alarm_rows import KEEP_EVENTS, put_alarm, tell
 from creak.sinks.database import Store, Writing, open_store
 from creak.sinks.restart import take_over
@@ -115,6 +116,8 @@ class StoreSink:
         self._heard: int | None = None
         self._changed = False
         self._flushed = float("-inf")
+        self._window = 1
+        self._sums = kept_sums.NOTHING
 
     def open(self, run: Run) -> None:
         """Make a run the current one of its rig; what a run of the same id left behind is told anew."""
@@ -142,6 +145,7 @@ class StoreSink:
         self._tally, self._last, self._heard = Tally(), None, None
         self._faults.clear()
         self._tally.restore(counts)
+        self._window, self._sums = run.window, kept_sums.NOTHING
 
     def count(self, counts: Counts, reached: int, heard_at: int | None = None) -> None:
         """Take over counts of what was handled elsewhere, up to a recorded time; heard by wall clock."""
@@ -189,16 +193,21 @@ class StoreSink:
             self._tell(connection, [("run", self._run_event(end.status.value, end.time))])
         self._clean()
 
-    def save(self, recorded: int, payload: bytes) -> None:
+    def save(self, memory: Memory) -> None:
         """Write what the rig's monitor has to know after a restart, in the place of what was there.
 
-        It need not be on the disk at once: what must be is written behind it, and takes it along.
+        Of the sums only those that the store lacks are written. It need not be on the disk at once: what must be
+        is written behind it, and takes it along.
         """
-        row = {"rig": self._rig, "run": self._run, "time": recorded, "payload": payload}
+        sums = kept_sums.changes(self._sums, self._window, memory.blocks)
+        payload = memory_bytes(replace(memory, blocks=()))
+        row = {"rig": self._rig, "run": self._run, "time": memory.time, "payload": payload}
         with self._store.write(durable=False) as connection:
             states = operator_tables.states
             if not connection.execute(sa.update(states).where(states.c.rig == self._rig).values(row)).rowcount:
                 connection.execute(sa.insert(states).values(row))
+            kept_sums.write(connection, kept_sums.state_sums, self._rig, sums)
+        self._sums = sums.after
 
     def _reached(self, recorded: int) -> None:
         self._last = recorded if self._last is None else max(self._last, recorded)

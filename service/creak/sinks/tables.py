@@ -6,7 +6,7 @@ the Unix epoch, but for the columns named ``*_at``, which are wall-clock nanosec
 
 import sqlalchemy as sa
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """Version of these tables; a database of a newer one is refused."""
 
 metadata = sa.MetaData()
