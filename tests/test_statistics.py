@@ -23,7 +23,7 @@ def sums_of(spectra, q):
 def assert_same(a, b, rtol):
     """All statistics equal relative to their own size, line by line."""
     assert (a.realisations, a.periods) == (b.realisations, b.periods)
-    for name in ("S", "between", "within", "period_sums"):
+    for name in ("S", "packed_between", "packed_within", "period_sums"):
         x, y = getattr(a, name), getattr(b, name)
         np.testing.assert_allclose(x, y, rtol=rtol, atol=rtol * np.abs(y).max(), err_msg=name)
 
@@ -85,7 +85,7 @@ def test_any_split_and_order_merges_to_the_same_sums(data):
     right = reduce(lambda a, b: a + b, [blocks[i] for i in order[cut:]], Sums.zero(P, len(rig.lines), n, q))
     assert_same(left + right, straight, 1e-10)
     commuted = right + left
-    for name in ("S", "spread", "between", "within", "period_sums"):
+    for name in ("S", "spread", "packed_between", "packed_within", "period_sums"):
         np.testing.assert_array_equal(getattr(left + right, name), getattr(commuted, name))
 
 
@@ -94,13 +94,37 @@ def test_zero_is_neutral_and_operands_are_not_changed(rng):
     rig = make_rig(2)
     a, b = (Sums.of(s, 2) for s in random_spectra(rng, rig, 2, 2))
     zero = Sums.zero(2, len(rig.lines), 2, 2)
-    before = {name: getattr(a, name).copy() for name in ("S", "between", "within", "period_sums")}
+    before = {name: getattr(a, name).copy() for name in ("S", "packed_between", "packed_within", "period_sums")}
     assert_same(zero + a, a, 0)
     assert_same(a + zero, a, 0)
     assert (zero + zero).realisations == 0
     _ = a + b
     for name, value in before.items():
         np.testing.assert_array_equal(getattr(a, name), value)
+
+
+@pytest.mark.parametrize(("n", "q", "P"), [(3, 3, 3), (2, 1, 1), (16, 16, 2)])
+def test_moments_are_those_of_the_residuals_about_any_matrix(rng, n, q, P):
+    """Kills a wrong place in the packed half, a conjugate in the wrong half, a wrong edge of a tile of lines."""
+    rig = make_rig(n, q, lines=range(1, 131))  # two tiles and a bit
+    spectra = random_spectra(rng, rig, 1, P, noise=0.1)[0]
+    about = rng.standard_normal((130, n, q)) + 1j * rng.standard_normal((130, n, q))
+    got = Sums.of(spectra, q, about=about)
+    V = spectra.copy()
+    V[..., q:] -= np.einsum("fnq,epfq->epfn", about, V[..., :q])
+    mean = V.mean(axis=1)
+    change = V - mean[:, None]
+    size = np.abs(V).max() ** 2 * V.shape[0] * P
+    for found, wanted in (
+        (got.between, P * np.einsum("efi,efj->fij", mean, mean.conj())),
+        (got.within, np.einsum("epfi,epfj->fij", change, change.conj())),
+        (got.period_sums, V.sum(axis=0)),
+        (Sums.of(spectra, q).moved(about).between, got.between),
+        (Sums.of(spectra, q).moved(about).within, got.within),
+    ):
+        np.testing.assert_allclose(found, wanted, atol=1e-13 * size)  # rounding, a few operations an entry
+    for own, matrices in zip(got.powers, (got.between, got.within), strict=True):
+        np.testing.assert_array_equal(own, np.einsum("fii->fi", matrices).real)
 
 
 def test_sums_of_different_measurements_do_not_add(rng):

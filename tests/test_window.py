@@ -27,7 +27,7 @@ def blocks_of(count, seed=0, about=None, noise=1e-2):
 
 
 def assert_same(a, b, rtol=1e-10):
-    for name in ("S", "spread", "between", "within", "period_sums"):
+    for name in ("S", "spread", "packed_between", "packed_within", "period_sums"):
         x, y = getattr(a.normal(), name), getattr(b.normal(), name)
         np.testing.assert_allclose(x, y, rtol=rtol, atol=rtol * np.abs(y).max(), err_msg=name)
 
@@ -72,7 +72,7 @@ def test_a_window_that_is_taken_up_again_goes_on_to_the_last_bit(cut):
     for block in blocks[cut:]:
         one.push(block)
         other.push(block)
-        np.testing.assert_array_equal(one.total.sums.within, other.total.sums.within)
+        np.testing.assert_array_equal(one.total.sums.packed_within, other.total.sums.packed_within)
         np.testing.assert_array_equal(one.total.sums.S, other.total.sums.S)
 
 

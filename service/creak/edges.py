@@ -125,7 +125,7 @@ def reference(sums: Sums, names: tuple[str, ...]) -> Reference:
     """
     n = len(names)
     plain, least = np.zeros(n), np.zeros(n)
-    moments = lines_last(sums.between), lines_last(sums.within)
+    moments = sums.packed_between, sums.packed_within
     about = sums.S if sums.about is None else sums.about
     if not least_squares_powers(*moments, lines_last(sums.S), lines_last(about), plain, least):
         return Reference(sums)
@@ -149,7 +149,8 @@ def _split(rig: Rig, sums: Sums) -> tuple[Real, Real]:
     pull = G_y - np.eye(n)
     misfit = pull @ sums.S
     misfit[:, np.arange(n), np.arange(n)] += G_u
-    return quadratic(misfit, sums.between[:, :n, :n]), quadratic(pull, sums.between[:, n:, n:])
+    apart = np.concatenate((np.zeros_like(pull), pull), axis=2)
+    return quadratic(misfit, sums.packed_between), quadratic(apart, sums.packed_between)
 
 
 def _most_missed(rig: Rig, sums: Sums, i: int) -> str | None:

@@ -2,15 +2,15 @@
 
 All arrays have the lines last, ``(..., matrix, F)``, so that neighbouring lines stand side by side in memory: the
 loops work on tiles of lines whose real and imaginary parts are kept apart, which lets the processor take several
-lines at once. Hermitian matrices are computed in their lower half and mirrored.
+lines at once. Hermitian matrices are packed as :mod:`creak.hermitian` has them.
 """
 
 import numpy as np
 
-from creak.compiling import vectorised
+from creak.compiling import compiled, vectorised
 from creak.records import Complex, Real
 
-_TILE = 32  # lines that are worked on together
+_TILE = 64  # lines that are worked on together
 
 
 @vectorised
@@ -23,65 +23,75 @@ def responses(spectra: Complex, q: int, S: Complex, condition: Real) -> None:
         Lines beyond those of `S` are passed over.
     q : int
     S : array, (n, q, F)
-        Result; none of a line whose condition is infinite, that is whose input matrix is singular.
+        Result; without meaning at a line whose condition is infinite, that is whose input matrix is singular.
     condition : array, (F,)
         Result: upper bound of the condition number of the input matrix, ``2/|det A| (|A|_F/sqrt(q))^q`` (H. W.
         Guggenheimer, A. S. Edelman, C. R. Johnson, *College Mathematics J.* 26 (1995) 2); 2 for orthogonal
         experiments of equal power.
     """
-    P, w = spectra.shape[1:3]
+    P = spectra.shape[1]
     n, _, F = S.shape
-    mean = np.empty((q, w, _TILE), dtype=np.complex128)
-    A = np.empty((q, q + n), dtype=np.complex128)  # a row an experiment: sum_i U_i S_ji = Y_j
+    w = q + n
+    real, imag = np.zeros((q, w, _TILE)), np.zeros((q, w, _TILE))  # a row an experiment: sum_i U_i S_ji = Y_j
+    size, bound, larger = np.zeros(_TILE), np.zeros(_TILE), np.zeros(_TILE)
+    inverse_real, inverse_imag = np.zeros(_TILE), np.zeros(_TILE)
     for first in range(0, F, _TILE):
         m = min(_TILE, F - first)
         for e in range(q):
             for i in range(w):
                 for t in range(m):
-                    total = spectra[e, 0, i, first + t]
-                    for p in range(1, P):
-                        total += spectra[e, p, i, first + t]
-                    mean[e, i, t] = total / P
+                    real[e, i, t] = spectra[e, 0, i, first + t].real
+                    imag[e, i, t] = spectra[e, 0, i, first + t].imag
+                for p in range(1, P):
+                    for t in range(m):
+                        real[e, i, t] += spectra[e, p, i, first + t].real
+                        imag[e, i, t] += spectra[e, p, i, first + t].imag
+                for t in range(m):
+                    real[e, i, t] /= P
+                    imag[e, i, t] /= P
         for t in range(m):
-            power = 0.0
+            size[t] = 0.0
+            bound[t] = 2.0
+        for e in range(q):
+            for i in range(q):
+                for t in range(m):
+                    size[t] += real[e, i, t] * real[e, i, t] + imag[e, i, t] * imag[e, i, t]
+        for t in range(m):
+            size[t] = np.sqrt(size[t] / q)
+        for k in range(q):
+            for e in range(k + 1, q):  # the largest pivot of each line comes up row by row
+                for t in range(m):
+                    here, there = abs(real[k, k, t]) + abs(imag[k, k, t]), abs(real[e, k, t]) + abs(imag[e, k, t])
+                    larger[t] = 1.0 if there > here else 0.0
+                for i in range(k, w):
+                    for t in range(m):
+                        a, b, c, d = real[k, i, t], real[e, i, t], imag[k, i, t], imag[e, i, t]
+                        real[k, i, t] = b if larger[t] > 0.0 else a
+                        real[e, i, t] = a if larger[t] > 0.0 else b
+                        imag[k, i, t] = d if larger[t] > 0.0 else c
+                        imag[e, i, t] = c if larger[t] > 0.0 else d
+            for t in range(m):
+                power = real[k, k, t] * real[k, k, t] + imag[k, k, t] * imag[k, k, t]
+                bound[t] *= size[t] / np.sqrt(power)
+                inverse_real[t] = real[k, k, t] / power
+                inverse_imag[t] = -imag[k, k, t] / power
+            for i in range(k + 1, w):
+                for t in range(m):
+                    a, b = real[k, i, t], imag[k, i, t]
+                    real[k, i, t] = a * inverse_real[t] - b * inverse_imag[t]
+                    imag[k, i, t] = a * inverse_imag[t] + b * inverse_real[t]
             for e in range(q):
-                for i in range(q + n):
-                    A[e, i] = mean[e, i, t]
-                for i in range(q):
-                    power += A[e, i].real ** 2 + A[e, i].imag ** 2
-            size = np.sqrt(power / q)
-            bound = 2.0
-            for k in range(q):
-                row, largest = k, 0.0
-                for e in range(k, q):
-                    magnitude = abs(A[e, k].real) + abs(A[e, k].imag)
-                    if not magnitude <= largest:
-                        row, largest = e, magnitude
-                pivot = A[row, k]
-                if not largest > 0.0:
-                    bound = np.inf
-                    break
-                bound *= size / np.hypot(pivot.real, pivot.imag)
-                if row != k:
-                    for i in range(k, q + n):
-                        A[row, i], A[k, i] = A[k, i], A[row, i]
-                scale = 1.0 / pivot
-                for i in range(k + 1, q + n):
-                    A[k, i] = A[k, i] * scale
-                for e in range(k + 1, q):
-                    factor = A[e, k]
-                    for i in range(k + 1, q + n):
-                        A[e, i] -= factor * A[k, i]
-            condition[first + t] = bound
-            if bound < np.inf:
-                for k in range(q - 1, -1, -1):
-                    for e in range(k):
-                        factor = A[e, k]
-                        for i in range(q, q + n):
-                            A[e, i] -= factor * A[k, i]
-                for i in range(n):
-                    for j in range(q):
-                        S[i, j, first + t] = A[j, q + i]
+                if e != k:
+                    for i in range(k + 1, w):
+                        for t in range(m):
+                            real[e, i, t] -= real[e, k, t] * real[k, i, t] - imag[e, k, t] * imag[k, i, t]
+                            imag[e, i, t] -= real[e, k, t] * imag[k, i, t] + imag[e, k, t] * real[k, i, t]
+        for t in range(m):
+            condition[first + t] = bound[t] if bound[t] < np.inf else np.inf  # 0/0 at a line that is not driven
+        for i in range(n):
+            for j in range(q):
+                for t in range(m):
+                    S[i, j, first + t] = complex(real[j, q + i, t], imag[j, q + i, t])
 
 
 @vectorised
@@ -112,9 +122,43 @@ def line_powers(spectra: Complex, mean: Real, within: Real) -> None:
 
 
 @vectorised
-def residual_moments(
-    spectra: Complex, S: Complex, between: Complex, within: Complex, period_sums: Complex
-) -> None:
+def _product(real: Real, imag: Real, start: int, stop: int, i: int, j: int, a: Real, b: Real) -> None:
+    """``sum v_i conj(v_j)`` over some rows of a tile, ``(rows, w, tile)``; three rows at a time spare stores."""
+    for t in range(_TILE):
+        a[t] = 0.0
+        b[t] = 0.0
+    threes = stop - (stop - start) % 3
+    for r in range(start, threes, 3):
+        for t in range(_TILE):
+            a[t] += (
+                (real[r, i, t] * real[r, j, t] + imag[r, i, t] * imag[r, j, t])
+                + (real[r + 1, i, t] * real[r + 1, j, t] + imag[r + 1, i, t] * imag[r + 1, j, t])
+                + (real[r + 2, i, t] * real[r + 2, j, t] + imag[r + 2, i, t] * imag[r + 2, j, t])
+            )
+            b[t] += (
+                (imag[r, i, t] * real[r, j, t] - real[r, i, t] * imag[r, j, t])
+                + (imag[r + 1, i, t] * real[r + 1, j, t] - real[r + 1, i, t] * imag[r + 1, j, t])
+                + (imag[r + 2, i, t] * real[r + 2, j, t] - real[r + 2, i, t] * imag[r + 2, j, t])
+            )
+    for r in range(threes, stop):
+        for t in range(_TILE):
+            a[t] += real[r, i, t] * real[r, j, t] + imag[r, i, t] * imag[r, j, t]
+            b[t] += imag[r, i, t] * real[r, j, t] - real[r, i, t] * imag[r, j, t]
+
+
+@vectorised
+def _store(a: Real, b: Real, i: int, j: int, packed: Real, first: int, m: int) -> None:
+    """Entry ``a + jb`` of a row and column of packed moments, from a line on."""
+    row = i * i + 2 * j
+    for t in range(m):
+        packed[row, first + t] = a[t]
+    if j < i:
+        for t in range(m):
+            packed[row + 1, first + t] = b[t]
+
+
+@vectorised
+def residual_moments(spectra: Complex, S: Complex, between: Real, within: Real, period_sums: Complex) -> None:
     """Moments of ``V = [U; Y - S U]`` of one realisation, for any ``S``.
 
     Within an experiment mean and deviations follow B. P. Welford, *Technometrics* 4 (1962) 419: period k adds the
@@ -124,8 +168,8 @@ def residual_moments(
     ----------
     spectra : array, (q, P, q + n, F)
     S : array, (n, q, F)
-    between, within : array, (q + n, q + n, F)
-        Results, as :class:`creak.statistics.Sums` has them.
+    between, within : array, ((q + n)^2, F)
+        Results, as :class:`creak.statistics.Sums` has them, packed.
     period_sums : array, (P, q + n, F)
         Result.
     """
@@ -135,37 +179,36 @@ def residual_moments(
     real = np.zeros((apart + means + sums, w, _TILE))
     imag = np.zeros((apart + means + sums, w, _TILE))
     S_real, S_imag = np.zeros((n, q, _TILE)), np.zeros((n, q, _TILE))
+    a, b = np.zeros(_TILE), np.zeros(_TILE)
+    root = np.sqrt(float(P))
     for first in range(0, F, _TILE):
         m = min(_TILE, F - first)
         real[apart + means :] = 0.0
         imag[apart + means :] = 0.0
         for e in range(E):
             for i in range(w):
-                mean_real, mean_imag = real[apart + e, i], imag[apart + e, i]
+                mean = apart + e
                 for p in range(P):
-                    x = spectra[e, p, i]
-                    sum_real, sum_imag = real[apart + means + p, i], imag[apart + means + p, i]
+                    total = apart + means + p
                     for t in range(m):
-                        sum_real[t] += x[first + t].real
-                        sum_imag[t] += x[first + t].imag
+                        real[total, i, t] += spectra[e, p, i, first + t].real
+                        imag[total, i, t] += spectra[e, p, i, first + t].imag
                     if p == 0:
                         for t in range(m):
-                            mean_real[t] = x[first + t].real
-                            mean_imag[t] = x[first + t].imag
+                            real[mean, i, t] = spectra[e, p, i, first + t].real
+                            imag[mean, i, t] = spectra[e, p, i, first + t].imag
                     else:
-                        share, weight = 1.0 / (p + 1.0), np.sqrt(p / (p + 1.0))
-                        off_real, off_imag = real[e * (P - 1) + p - 1, i], imag[e * (P - 1) + p - 1, i]
+                        share, weight, off = 1.0 / (p + 1.0), np.sqrt(p / (p + 1.0)), e * (P - 1) + p - 1
                         for t in range(m):
-                            a = x[first + t].real - mean_real[t]
-                            b = x[first + t].imag - mean_imag[t]
-                            off_real[t] = weight * a
-                            off_imag[t] = weight * b
-                            mean_real[t] += share * a
-                            mean_imag[t] += share * b
-                root = np.sqrt(float(P))
+                            x = spectra[e, p, i, first + t].real - real[mean, i, t]
+                            y = spectra[e, p, i, first + t].imag - imag[mean, i, t]
+                            real[off, i, t] = weight * x
+                            imag[off, i, t] = weight * y
+                            real[mean, i, t] += share * x
+                            imag[mean, i, t] += share * y
                 for t in range(m):
-                    mean_real[t] *= root
-                    mean_imag[t] *= root
+                    real[mean, i, t] *= root
+                    imag[mean, i, t] *= root
         for i in range(n):
             for j in range(q):
                 for t in range(m):
@@ -173,15 +216,20 @@ def residual_moments(
                     S_imag[i, j, t] = S[i, j, first + t].imag
         for row in range(apart + means + sums):
             for i in range(n):
-                y_real, y_imag = real[row, q + i], imag[row, q + i]
                 for j in range(q):
-                    u_real, u_imag = real[row, j], imag[row, j]
-                    s_real, s_imag = S_real[i, j], S_imag[i, j]
                     for t in range(_TILE):
-                        y_real[t] -= s_real[t] * u_real[t] - s_imag[t] * u_imag[t]
-                        y_imag[t] -= s_real[t] * u_imag[t] + s_imag[t] * u_real[t]
-        _outer(real[:apart], imag[:apart], within, first, m)
-        _outer(real[apart : apart + means], imag[apart : apart + means], between, first, m)
+                        real[row, q + i, t] -= (
+                            S_real[i, j, t] * real[row, j, t] - S_imag[i, j, t] * imag[row, j, t]
+                        )
+                        imag[row, q + i, t] -= (
+                            S_real[i, j, t] * imag[row, j, t] + S_imag[i, j, t] * real[row, j, t]
+                        )
+        for i in range(w):
+            for j in range(i + 1):
+                _product(real, imag, 0, apart, i, j, a, b)
+                _store(a, b, i, j, within, first, m)
+                _product(real, imag, apart, apart + means, i, j, a, b)
+                _store(a, b, i, j, between, first, m)
         for p in range(P):
             for i in range(w):
                 for t in range(m):
@@ -190,154 +238,33 @@ def residual_moments(
                     )
 
 
-@vectorised
-def _outer(real: Real, imag: Real, moments: Complex, first: int, m: int) -> None:
-    """Sum of ``v v^H`` over the rows of a tile, ``(rows, w, tile)``, into the moments from a line on."""
-    rows, w = real.shape[:2]
-    a, b = np.empty(_TILE), np.empty(_TILE)
-    for i in range(w):
-        for j in range(i + 1):
-            for t in range(_TILE):
-                a[t] = 0.0
-                b[t] = 0.0
-            for row in range(rows):
-                x_real, x_imag, y_real, y_imag = real[row, i], imag[row, i], real[row, j], imag[row, j]
-                for t in range(_TILE):
-                    a[t] += x_real[t] * y_real[t] + x_imag[t] * y_imag[t]
-                    b[t] += x_imag[t] * y_real[t] - x_real[t] * y_imag[t]
-            if i == j:
-                for t in range(m):
-                    moments[i, i, first + t] = a[t]
-            else:
-                for t in range(m):
-                    moments[i, j, first + t] = complex(a[t], b[t])
-                    moments[j, i, first + t] = complex(a[t], -b[t])
+@compiled  # fused products would not commute
+def pool(
+    S: Complex, spread: Real, M: float, other: Complex, other_spread: Real, N: float, mean: Complex, total: Real
+) -> None:
+    """Mean and summed squared deviations of M and N values together, all arrays ``(n, q, F)``.
 
-
-@vectorised
-def shear(moments: Complex, D: Complex, sheared: Complex) -> None:
-    """``T A T^H`` with ``T = [I 0; D I]``: moments of ``[U; R + D U]`` from those of ``[U; R]``.
+    T. F. Chan, G. H. Golub, R. J. LeVeque, *American Statistician* 37 (1983) 242.
 
     Parameters
     ----------
-    moments : array, (q + n, q + n, F)
-        Hermitian; the lower half is read.
-    D : array, (n, q, F)
-    sheared : array, (q + n, q + n, F)
-        Result.
+    S, other : array
+        Means.
+    spread, other_spread : array
+        Sums of squared deviations from them.
+    M, N : float
+    mean, total : array
+        Results.
     """
-    n, q, F = D.shape
-    w = n + q
-    real, imag = np.zeros((w, w, _TILE)), np.zeros((w, w, _TILE))
-    D_real, D_imag = np.zeros((n, q, _TILE)), np.zeros((n, q, _TILE))
-    for first in range(0, F, _TILE):
-        m = min(_TILE, F - first)
-        for i in range(w):
-            for j in range(i + 1):
-                for t in range(m):
-                    real[i, j, t] = moments[i, j, first + t].real
-                    imag[i, j, t] = moments[i, j, first + t].imag
-        for i in range(q):
-            for j in range(i):
-                for t in range(m):
-                    real[j, i, t] = real[i, j, t]
-                    imag[j, i, t] = -imag[i, j, t]
-        for i in range(n):
-            for j in range(q):
-                for t in range(m):
-                    D_real[i, j, t] = D[i, j, first + t].real
-                    D_imag[i, j, t] = D[i, j, first + t].imag
-        for i in range(n):  # R R^H first needs the old R U^H: + D (U R^H)
-            for j in range(i + 1):
-                a, b = real[q + i, q + j], imag[q + i, q + j]
-                for k in range(q):
-                    x_real, x_imag, y_real, y_imag = D_real[i, k], D_imag[i, k], real[q + j, k], imag[q + j, k]
-                    for t in range(_TILE):
-                        a[t] += x_real[t] * y_real[t] + x_imag[t] * y_imag[t]
-                        b[t] += x_imag[t] * y_real[t] - x_real[t] * y_imag[t]
-        for i in range(n):  # R U^H + D U U^H
-            for k in range(q):
-                x_real, x_imag = D_real[i, k], D_imag[i, k]
-                for j in range(q):
-                    a, b, y_real, y_imag = real[q + i, j], imag[q + i, j], real[k, j], imag[k, j]
-                    for t in range(_TILE):
-                        a[t] += x_real[t] * y_real[t] - x_imag[t] * y_imag[t]
-                        b[t] += x_real[t] * y_imag[t] + x_imag[t] * y_real[t]
-        for i in range(n):  # and with the new one: + (R U^H) D^H
-            for j in range(i + 1):
-                a, b = real[q + i, q + j], imag[q + i, q + j]
-                for k in range(q):
-                    x_real, x_imag, y_real, y_imag = real[q + i, k], imag[q + i, k], D_real[j, k], D_imag[j, k]
-                    for t in range(_TILE):
-                        a[t] += x_real[t] * y_real[t] + x_imag[t] * y_imag[t]
-                        b[t] += x_imag[t] * y_real[t] - x_real[t] * y_imag[t]
-        for i in range(w):
-            for j in range(i):
-                for t in range(m):
-                    sheared[i, j, first + t] = complex(real[i, j, t], imag[i, j, t])
-                    sheared[j, i, first + t] = complex(real[i, j, t], -imag[i, j, t])
-            for t in range(m):
-                sheared[i, i, first + t] = real[i, i, t]
-
-
-@vectorised
-def shear_vectors(vectors: Complex, D: Complex, sheared: Complex) -> None:
-    """``T v`` with ``T = [I 0; D I]`` for vectors ``(P, q + n, F)``; the result must not be the operand."""
-    P, w, F = vectors.shape
-    n, q = D.shape[:2]
-    for p in range(P):
-        for i in range(w):
+    weight = M * N / (M + N)
+    n, q, F = S.shape
+    for i in range(n):
+        for j in range(q):
             for f in range(F):
-                sheared[p, i, f] = vectors[p, i, f]
-        for i in range(n):
-            for j in range(q):
-                for f in range(F):
-                    sheared[p, q + i, f] += D[i, j, f] * vectors[p, j, f]
-
-
-@vectorised
-def quadratic_forms(forms: Complex, moments: Complex, powers: Real) -> None:
-    """``g A g^H`` per row and line.
-
-    Parameters
-    ----------
-    forms : array, (rows, channels, F)
-        g.
-    moments : array, (channels, channels, F)
-        A, Hermitian; the lower half is read.
-    powers : array, (rows, F)
-        Result.
-    """
-    rows, w, F = forms.shape
-    real, imag = np.zeros((w, _TILE)), np.zeros((w, _TILE))
-    A_real, A_imag = np.zeros((w, w, _TILE)), np.zeros((w, w, _TILE))
-    total, a, b = np.zeros(_TILE), np.zeros(_TILE), np.zeros(_TILE)
-    for first in range(0, F, _TILE):
-        m = min(_TILE, F - first)
-        for i in range(w):
-            for j in range(i + 1):
-                for t in range(m):
-                    A_real[i, j, t] = moments[i, j, first + t].real
-                    A_imag[i, j, t] = moments[i, j, first + t].imag
-        for row in range(rows):
-            for i in range(w):
-                for t in range(m):
-                    real[i, t] = forms[row, i, first + t].real
-                    imag[i, t] = forms[row, i, first + t].imag
-            for t in range(_TILE):
-                total[t] = 0.0
-            for i in range(w):  # |g_i|^2 A_ii + 2 Re conj(g_i) sum_(j < i) conj(A_ij) g_j
-                for t in range(_TILE):
-                    a[t] = 0.0
-                    b[t] = 0.0
-                for j in range(i):
-                    x_real, x_imag, y_real, y_imag = real[j], imag[j], A_real[i, j], A_imag[i, j]
-                    for t in range(_TILE):
-                        a[t] += y_real[t] * x_real[t] + y_imag[t] * x_imag[t]
-                        b[t] += y_real[t] * x_imag[t] - y_imag[t] * x_real[t]
-                g_real, g_imag, own = real[i], imag[i], A_real[i, i]
-                for t in range(_TILE):
-                    power = g_real[t] * g_real[t] + g_imag[t] * g_imag[t]
-                    total[t] += power * own[t] + 2.0 * (g_real[t] * a[t] + g_imag[t] * b[t])
-            for t in range(m):
-                powers[row, first + t] = total[t]
+                apart = S[i, j, f] - other[i, j, f]
+                mean[i, j, f] = complex(
+                    (M * S[i, j, f].real + N * other[i, j, f].real) / (M + N),
+                    (M * S[i, j, f].imag + N * other[i, j, f].imag) / (M + N),
+                )
+                power = apart.real * apart.real + apart.imag * apart.imag
+                total[i, j, f] = spread[i, j, f] + other_spread[i, j, f] + weight * power

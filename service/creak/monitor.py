@@ -312,7 +312,8 @@ class Monitor:
         return outcomes
 
     def _complete(self, realisation: Realisation) -> list[Outcome]:
-        return self._judge(realisation, Block.of(realisation, self.run.rig.q), self._watch.judge(realisation))
+        block = Block.of(realisation, self.run.rig.q, self._about)
+        return self._judge(realisation, block, self._watch.judge(realisation))
 
     def _judge(self, realisation: Last, block: Block, flaws: tuple[Flaw, ...]) -> list[Outcome]:
         rig = self.run.rig

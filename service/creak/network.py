@@ -224,8 +224,8 @@ def _powers(sums: Sums, forms: _Forms | None) -> tuple[Real, _Powers, _Powers | 
     powers = np.empty((POWERS, n, F))
     S = lines_last(sums.S)
     residual_powers(
-        lines_last(sums.between),
-        lines_last(sums.within),
+        sums.packed_between,
+        sums.packed_within,
         np.ascontiguousarray(sums.period_sums.swapaxes(1, 2)),
         S,
         S if sums.about is None else lines_last(sums.about),

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from creak.detection import detection_lines
 from creak.moments import responses
@@ -63,16 +62,7 @@ def spectrum(rig: Rig, u: Real, y: Real, lines: Sequence[int] | None = None) -> 
     array, (F, q + n)
     """
     at = np.asarray(rig.lines if lines is None else lines)
-    spectra = np.empty((len(u) + len(y), len(at)), dtype=np.complex128)
-    _pick(np.fft.rfft(np.concatenate((u, y))), at, rig.period_samples, spectra)
-    return spectra.T
-
-
-def _pick(channels: Complex, at: NDArray[np.intp], period_samples: int, spectra: Complex) -> None:
-    """Lines of full spectra ``(channels, N/2 + 1)``, divided by N, into ``(channels, lines)``."""
-    np.take(channels, at, axis=1, out=spectra, mode="clip")
-    parts = spectra.view(np.float64)  # a division of complex numbers takes thrice as long
-    parts /= period_samples
+    return np.fft.rfft(np.concatenate((u, y)), norm="forward")[:, at].T
 
 
 _SPOILING = (FaultKind.WRONG_SHAPE, FaultKind.NOT_FINITE)
@@ -142,7 +132,7 @@ class Collector:
             refused = self._refuse(frame, FaultKind.DOUBLED, "came already; the first one counts")
             return Collected(refused.frame, faults + refused.faults)
         slot = current.spectra[frame.experiment, period]
-        _pick(channels, self._lines, self._run.rig.period_samples, slot)
+        np.take(channels, self._lines, axis=1, out=slot, mode="clip")  # "raise" would fill a copy first
         current.filled[frame.experiment, period] = True
         current.end = max(current.end, frame.time + round(self._run.rig.period_ns))
         accepted = _judged(frame, FrameStatus.ACCEPTED)
@@ -163,7 +153,7 @@ class Collector:
         return Collected(accepted, faults, found)
 
     def _transform(self, frame: Frame) -> Complex:
-        """DFT of all channels, ``(q + n, N/2 + 1)``, until the next one.
+        """DFT of all channels divided by N, ``(q + n, N/2 + 1)``, until the next one.
 
         Side by side channels take less time than one by one, and in memory that is there already less than in new.
         """
@@ -171,7 +161,7 @@ class Collector:
         self._samples[:q] = frame.u
         self._samples[q:] = frame.y
         with np.errstate(invalid="ignore", over="ignore"):  # samples that are not finite are found in the result
-            return np.fft.rfft(self._samples, out=self._channels)
+            return np.fft.rfft(self._samples, norm="forward", out=self._channels)
 
     def lose(self, fault: Fault) -> tuple[Fault, ...]:
         """Take note of a frame that a source says never came; gives what follows from it."""

@@ -1,8 +1,8 @@
 """Inner loops of the estimates, compiled: powers of residuals about any response matrix, line by line.
 
 As in :mod:`creak.moments` the lines come last in memory, and loops work on tiles of lines whose real and imaginary
-parts are kept apart. Moments are read once and in their lower half, and nothing of their size is written: what an
-estimate needs of a line is worked out while its moments are at hand.
+parts are kept apart. Moments are packed (:mod:`creak.hermitian`) and read once, and nothing of their size is
+written: what an estimate needs of a line is worked out while its moments are at hand.
 """
 
 import numpy as np
@@ -18,8 +18,8 @@ POWERS = 7
 
 @vectorised
 def residual_powers(
-    between: Complex,
-    within: Complex,
+    between: Real,
+    within: Real,
     period_sums: Complex,
     S: Complex,
     about: Complex,
@@ -31,8 +31,8 @@ def residual_powers(
 
     Parameters
     ----------
-    between, within : array, (q + n, q + n, F)
-        Moments of ``[U; Y - about U]`` as :class:`creak.statistics.Sums` has them.
+    between, within : array, ((q + n)^2, F)
+        Moments of ``[U; Y - about U]`` as :class:`creak.statistics.Sums` has them, packed.
     period_sums : array, (P, q + n, F)
     S, about : array, (n, q, F)
     misfit : array, (n, n, F) or (0, 0, 0)
@@ -122,14 +122,16 @@ def residual_powers(
 
 
 @vectorised
-def _load(moments: Complex, q: int, first: int, m: int, real: Real, imag: Real) -> None:
+def _load(packed: Real, q: int, first: int, m: int, real: Real, imag: Real) -> None:
     """Lower half of a tile of moments, and the upper half of the inputs'."""
-    w = len(moments)
-    for i in range(w):
-        for j in range(i + 1):
+    for i in range(len(real)):
+        for j in range(i):
+            row = i * i + 2 * j
             for t in range(m):
-                real[i, j, t] = moments[i, j, first + t].real
-                imag[i, j, t] = moments[i, j, first + t].imag
+                real[i, j, t] = packed[row, first + t]
+                imag[i, j, t] = packed[row + 1, first + t]
+        for t in range(m):
+            real[i, i, t] = packed[i * i + 2 * i, first + t]
     for i in range(q):
         for j in range(i):
             for t in range(m):
@@ -209,7 +211,7 @@ def _form(g_real: Real, g_imag: Real, start: int, real: Real, imag: Real, total:
 
 @vectorised
 def least_squares_powers(
-    between: Complex, within: Complex, S: Complex, about: Complex, plain: Real, least: Real
+    between: Real, within: Real, S: Complex, about: Complex, plain: Real, least: Real
 ) -> bool:
     """Power of the residuals about ``S`` and about the least-squares approximation, over all lines.
 
@@ -218,8 +220,8 @@ def least_squares_powers(
 
     Parameters
     ----------
-    between, within : array, (q + n, q + n, F)
-        Moments of ``[U; Y - about U]``.
+    between, within : array, ((q + n)^2, F)
+        Moments of ``[U; Y - about U]``, packed.
     S, about : array, (n, q, F)
     plain, least : array, (n,)
         Results.
@@ -229,8 +231,8 @@ def least_squares_powers(
     bool
         False if the inputs of a line do not span all directions; nothing then is known.
     """
-    w, F = len(between), between.shape[2]
-    n, q = S.shape[:2]
+    n, q, F = S.shape
+    w = n + q
     real, imag = np.zeros((w, w, _TILE)), np.zeros((w, w, _TILE))
     L_real, L_imag = np.zeros((q, q, _TILE)), np.zeros((q, q, _TILE))
     d = np.ones((q, _TILE))

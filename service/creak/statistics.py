@@ -8,18 +8,21 @@ raw sums of ``Y`` would lose 4e-2 at 120 dB. Blocks whose residuals are taken ab
 their ``S`` (:attr:`Sums.about`) need no moving: they are added entry by entry, and brought into the normal form
 when they are read.
 
-In memory the lines come last, as :mod:`creak.moments` has them; the shapes below are views of that.
+In memory the lines come last, as :mod:`creak.moments` has them; the shapes below are views of that, except for the
+moments, of which one half is kept, packed (:mod:`creak.hermitian`).
 
 Everything in :mod:`creak.network` is algebra on these sums, whose size does not depend on how many realisations
 they hold.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
-from creak.moments import quadratic_forms, residual_moments, responses, shear, shear_vectors
+from creak.hermitian import quadratic_forms, shear, shear_vectors, unpack
+from creak.moments import pool, residual_moments, responses
 from creak.records import Complex, Real
 
 _Array = TypeVar("_Array", Complex, Real)
@@ -42,10 +45,10 @@ class Sums:
         Mean over realisations of ``mean_p(Y) mean_p(U)^-1`` (28).
     spread : array, (F, n, q)
         Sum over realisations of ``|S[m] - S|^2``, entry by entry, as in (20).
-    between : array, (F, q + n, q + n)
-        ``P sum_e conj-outer(mean_p V)``: moments of the period means.
-    within : array, (F, q + n, q + n)
-        ``sum_e sum_p conj-outer(V - mean_p V)``: what changes from period to period is noise.
+    packed_between : array, ((q + n)^2, F)
+        ``P sum_e conj-outer(mean_p V)``: moments of the period means; :attr:`between` has them as matrices.
+    packed_within : array, ((q + n)^2, F)
+        ``sum_e sum_p conj-outer(V - mean_p V)``: what changes from period to period is noise; so :attr:`within`.
     period_sums : array, (P, F, q + n)
         ``sum_e V`` for each period.
     about : array, (F, n, q), or None
@@ -56,8 +59,8 @@ class Sums:
     periods: int
     S: Complex
     spread: Real
-    between: Complex
-    within: Complex
+    packed_between: Real
+    packed_within: Real
     period_sums: Complex
     about: Complex | None = None
 
@@ -70,13 +73,13 @@ class Sums:
             periods=periods,
             S=np.zeros((lines, nodes, inputs), dtype=np.complex128),
             spread=np.zeros((lines, nodes, inputs)),
-            between=np.zeros((lines, width, width), dtype=np.complex128),
-            within=np.zeros((lines, width, width), dtype=np.complex128),
+            packed_between=np.zeros((width**2, lines)),
+            packed_within=np.zeros((width**2, lines)),
             period_sums=np.zeros((periods, lines, width), dtype=np.complex128),
         )
 
     @classmethod
-    def of(cls, spectra: Complex, inputs: int, S: Complex | None = None) -> "Sums":
+    def of(cls, spectra: Complex, inputs: int, S: Complex | None = None, about: Complex | None = None) -> "Sums":
         """Sums of one complete realisation.
 
         Parameters
@@ -88,6 +91,8 @@ class Sums:
             q.
         S : array, (F, n, q), or None
             ``mean_p(Y) mean_p(U)^-1`` if it is known already.
+        about : array, (F, n, q), or None
+            What the residuals are to be taken about, near ``S``; ``S`` itself if None.
 
         Raises
         ------
@@ -98,18 +103,18 @@ class Sums:
         periods, width, lines = V.shape[1:]
         if S is None:
             S = _response(V, inputs)
-        between = np.empty((width, width, lines), dtype=np.complex128)
-        within = np.empty_like(between)
+        between, within = np.empty((width**2, lines)), np.empty((width**2, lines))
         period_sums = np.empty((periods, width, lines), dtype=np.complex128)
-        residual_moments(V, _lines_last(S), between, within, period_sums)
+        residual_moments(V, _lines_last(S if about is None else about), between, within, period_sums)
         return cls(
             realisations=1,
             periods=periods,
             S=S,
             spread=np.zeros_like(S, dtype=np.float64),
-            between=_lines_first(between),
-            within=_lines_first(within),
+            packed_between=between,
+            packed_within=within,
             period_sums=period_sums.swapaxes(1, 2),
+            about=about,
         )
 
     def __add__(self, other: "Sums") -> "Sums":
@@ -128,21 +133,43 @@ class Sums:
         M = self.realisations + other.realisations
         if M == 0:
             return self
-        S = (self.realisations * self.S + other.realisations * other.S) / M
-        apart = self.S - other.S
-        weight = self.realisations * other.realisations / M
+        S, spread = self._pooled(other)
         about = self.about if _same(self.about, other.about) else None
         a, b = (self, other) if about is not None else (self.moved(S), other.moved(S))
         return Sums(
             realisations=M,
             periods=self.periods,
             S=S,
-            spread=self.spread + other.spread + weight * (apart.real**2 + apart.imag**2),
-            between=a.between + b.between,
-            within=a.within + b.within,
+            spread=spread,
+            packed_between=a.packed_between + b.packed_between,
+            packed_within=a.packed_within + b.packed_within,
             period_sums=a.period_sums + b.period_sums,
             about=about,
         )
+
+    def _pooled(self, other: "Sums") -> tuple[Complex, Real]:
+        """Mean `S` and `spread` of both operands' realisations."""
+        own, others = _lines_last(self.S), _lines_last(other.S)
+        S, spread = np.empty_like(own), np.empty(own.shape)
+        weights = float(self.realisations), float(other.realisations)
+        pool(own, _lines_last(self.spread), weights[0], others, _lines_last(other.spread), weights[1], S, spread)
+        return _lines_first(S), _lines_first(spread)
+
+    @property
+    def between(self) -> Complex:
+        """Moments of the period means, ``(F, q + n, q + n)``, made anew at every call."""
+        return _matrices(self.packed_between)
+
+    @property
+    def within(self) -> Complex:
+        """Moments of what changes from period to period, ``(F, q + n, q + n)``, made anew at every call."""
+        return _matrices(self.packed_within)
+
+    @property
+    def powers(self) -> tuple[Real, Real]:
+        """Diagonals of `between` and `within`, each ``(F, q + n)``."""
+        own = np.arange(1, self.period_sums.shape[2] + 1) ** 2 - 1
+        return self.packed_between[own].T, self.packed_within[own].T
 
     @property
     def inputs(self) -> int:
@@ -180,7 +207,8 @@ class Sums:
         """
         q = self.inputs
         reference = self.S if self.about is None else self.about
-        return reference + _divide(self.between[:, q:, :q], self.between[:, :q, :q])
+        between = self.between
+        return reference + _divide(between[:, q:, :q], between[:, :q, :q])
 
     def normal(self) -> "Sums":
         """Express the same with residuals about ``S``."""
@@ -195,7 +223,7 @@ class Sums:
             Largest ratio of a node, over all lines, ``sum_e P |mean_p R|^2`` over the deviations from it.
         """
         q = self.inputs
-        between, within = (np.einsum("fii->i", moments)[q:].real for moments in (self.between, self.within))
+        between, within = (powers[:, q:].sum(axis=0) for powers in self.powers)
         with np.errstate(divide="ignore", invalid="ignore"):
             return float(np.nan_to_num(between / within, nan=0.0, posinf=np.inf).max())
 
@@ -210,17 +238,16 @@ class Sums:
         if not D.any():
             return replace(self, about=about)
         D = _lines_last(D)
-        between, within = (_lines_last(moments) for moments in (self.between, self.within))
-        sheared = np.empty_like(between), np.empty_like(within)
-        shear(between, D, sheared[0])
-        shear(within, D, sheared[1])
+        between, within = np.empty_like(self.packed_between), np.empty_like(self.packed_within)
+        shear(self.packed_between, D, between)
+        shear(self.packed_within, D, within)
         vectors = np.ascontiguousarray(self.period_sums.swapaxes(1, 2))
         period_sums = np.empty_like(vectors)
         shear_vectors(vectors, D, period_sums)
         return replace(
             self,
-            between=_lines_first(sheared[0]),
-            within=_lines_first(sheared[1]),
+            packed_between=between,
+            packed_within=within,
             period_sums=period_sums.swapaxes(1, 2),
             about=about,
         )
@@ -236,23 +263,41 @@ def _response(V: Complex, q: int) -> Complex:
     return _lines_first(S)
 
 
-def quadratic(forms: Complex, moments: Complex) -> Real:
+def quadratic(forms: Complex, packed: Real) -> Real:
     """Quadratic forms ``g A g^H`` per line and row.
 
     Parameters
     ----------
-    forms : array, (F, rows, channels)
+    forms : array, (F, rows, w)
         g.
-    moments : array, (F, channels, channels)
-        A, Hermitian.
+    packed : array, (w^2, F)
+        A, Hermitian, packed; of larger packed matrices the leading one.
 
     Returns
     -------
     array, (F, rows)
     """
     powers = np.empty((forms.shape[1], forms.shape[0]))
-    quadratic_forms(_lines_last(forms), _lines_last(moments), powers)
+    quadratic_forms(_lines_last(forms), packed, powers)
     return powers.T
+
+
+def packed_moments(matrices: Complex) -> Real:
+    """Hermitian matrices ``(F, w, w)``, packed, ``(w^2, F)``; the lower half is read."""
+    F, w = matrices.shape[:2]
+    packed = np.empty((w * w, F))
+    for i in range(w):
+        packed[i * i : i * i + 2 * i : 2] = matrices[:, i, :i].real.T
+        packed[i * i + 1 : i * i + 2 * i : 2] = matrices[:, i, :i].imag.T
+        packed[i * i + 2 * i] = matrices[:, i, i].real
+    return packed
+
+
+def _matrices(packed: Real) -> Complex:
+    w = math.isqrt(len(packed))
+    matrices = np.empty((w, w, packed.shape[1]), dtype=np.complex128)
+    unpack(packed, matrices)
+    return _lines_first(matrices)
 
 
 def _same(a: Complex | None, b: Complex | None) -> bool:
@@ -265,7 +310,7 @@ def _divide(Y: Complex, U: Complex) -> Complex:
     return np.asarray(transposed.swapaxes(-1, -2), dtype=np.complex128)
 
 
-def _lines_last(matrices: Complex) -> Complex:
+def _lines_last(matrices: _Array) -> _Array:
     """``(F, rows, columns)`` as :mod:`creak.moments` takes them, ``(rows, columns, F)``."""
     return np.ascontiguousarray(matrices.transpose(1, 2, 0))
 

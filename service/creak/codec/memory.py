@@ -1,9 +1,8 @@
 """What monitors keep and tell each other as bytes, and back: memories, checkpoints, digests, sums.
 
-A JSON text that names every record and field, and behind it the bytes of the arrays that it refers to. Of
-Hermitian matrices the lower half is written, of arrays of zeros nothing; every array comes back to the last bit.
-Only the records listed here are ever made from it, so a store or a broker that somebody else can write to is no
-way into the process.
+A JSON text that names every record and field, and behind it the bytes of the arrays that it refers to; of arrays
+of zeros nothing is written. Only the records listed here are ever made from it, so a store or a broker that
+somebody else can write to is no way into the process.
 """
 
 import dataclasses
@@ -28,7 +27,7 @@ from creak.judgement import Block
 from creak.monitor import Checkpoint, Memory
 from creak.quality import Flaw
 from creak.records import Fault, FaultKind, Frame, FrameStatus
-from creak.statistics import Sums
+from creak.statistics import Sums, packed_moments
 from creak.trend import Trend
 
 _RECORDS: Mapping[str, type[Any]] = {
@@ -40,7 +39,7 @@ _RECORDS: Mapping[str, type[Any]] = {
 }  # fmt: skip
 _ENUMS: Mapping[str, type[Enum]] = {kind.__name__: kind for kind in (Verdict, FaultKind, FrameStatus)}
 _FORMAT = 3
-_READ = (2, 3)  # the first had every array in full
+_READ = (2, 3)  # the first had moments as full matrices
 
 _Packable = Memory | Checkpoint | Digest | Block | NDArray[Any]
 _T = TypeVar("_T", Memory, Checkpoint, Digest, Block, NDArray[Any])
@@ -128,62 +127,11 @@ class _Arrays:
             kind, parts = "ordered", stored
             if stored.size and not stored.reshape(-1).view(np.uint8).any():
                 kind, parts = "zeros", stored[:0]
-            elif (half := _lower_half(value)) is not None:
-                kind, parts = "hermitian", half
             place = [kind, little.str, shape, self._size, axes]
             self.parts.append(parts.tobytes())
             self._size += parts.nbytes
             self._known[id(value)] = value, place
         return self._known[id(value)][1]
-
-
-def _lower_half(matrices: NDArray[Any]) -> NDArray[np.float64] | None:
-    """Rows of the lower halves of ``(F, w, w)``, as ``(w*w, F)``: diagonal, real and imaginary parts.
-
-    None if they are not Hermitian to the last bit, signs of zeros included.
-    """
-    if matrices.dtype != np.complex128 or matrices.ndim != 3 or matrices.shape[1] != matrices.shape[2]:
-        return None
-    if not (_hermitian(matrices[:1]) and _hermitian(matrices)):  # most others are known by their first line
-        return None
-    w = matrices.shape[1]
-    half = np.empty((w * w, len(matrices)), dtype="<f8")
-    rows = iter(half)
-    for i in range(w):
-        next(rows)[:] = matrices[:, i, i].real
-        for j in range(i):
-            next(rows)[:] = matrices[:, i, j].real
-            next(rows)[:] = matrices[:, i, j].imag
-    return half
-
-
-def _hermitian(matrices: NDArray[Any]) -> bool:
-    for i in range(matrices.shape[1]):
-        if _bits(matrices[:, i, i].imag).any():
-            return False
-        for j in range(i):
-            lower, upper = matrices[:, i, j], matrices[:, j, i]
-            if not np.array_equal(_bits(lower.real), _bits(upper.real)):
-                return False
-            if not np.array_equal(_bits(lower.imag), _bits(-upper.imag)):
-                return False
-    return True
-
-
-def _bits(values: NDArray[np.float64]) -> NDArray[np.int64]:
-    return values.view(np.int64)
-
-
-def _filled(half: NDArray[np.float64], matrices: NDArray[Any]) -> NDArray[Any]:
-    """Write what `_lower_half` gave into matrices ``(F, w, w)``, whatever their order in memory."""
-    rows = iter(half)
-    for i in range(matrices.shape[1]):
-        matrices[:, i, i] = next(rows)
-        for j in range(i):
-            matrices[:, i, j].real = matrices[:, j, i].real = next(rows)
-            matrices[:, i, j].imag = imaginary = next(rows)
-            matrices[:, j, i].imag = -imaginary
-    return matrices
 
 
 def _plain(value: Any, arrays: _Arrays) -> Any:
@@ -221,10 +169,6 @@ def _made(value: Any, arrays: memoryview) -> Any:
             return stored.transpose(np.argsort(axes[0])) if axes else stored
         case "zeros":
             return np.zeros(tuple(rest[1]), np.dtype(rest[0])).transpose(np.argsort(rest[3]))
-        case "hermitian":
-            matrices = np.empty(tuple(rest[1]), np.dtype(rest[0])).transpose(np.argsort(rest[3]))
-            half = np.frombuffer(arrays, "<f8", matrices.size, rest[2])
-            return _filled(half.reshape(matrices.shape[1] ** 2, -1 if matrices.size else 0), matrices)
         case "tuple":
             return tuple(_made(item, arrays) for item in rest)
         case "set":
@@ -232,5 +176,10 @@ def _made(value: Any, arrays: memoryview) -> Any:
         case "map":
             return {_made(key, arrays): _made(item, arrays) for key, item in rest}
         case "record":
-            return _RECORDS[rest[0]](**{name: _made(item, arrays) for name, item in rest[1].items()})
+            fields = {name: _made(item, arrays) for name, item in rest[1].items()}
+            if rest[0] == "Sums":
+                for name in ("between", "within"):
+                    if name in fields:
+                        fields[f"packed_{name}"] = packed_moments(fields.pop(name))
+            return _RECORDS[rest[0]](**fields)
     raise ValueError(f"{kind!r} is no kind of value")
