@@ -43,7 +43,9 @@ class Phases:
         array, (q, q, F)
             Experiment, input, line.
         """
-        phase = self.inputs[None] + self.experiments[:, None]
+        phase = self.inputs[None]
+        if self.experiments.any():
+            phase = phase + self.experiments[:, None]
         return np.asarray(modulus * turn[:, :, None] * np.exp(1j * phase), dtype=np.complex128)
 
 

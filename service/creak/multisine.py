@@ -8,7 +8,7 @@ import numpy as np
 
 from creak.crest import Phases, reduce_crest
 from creak.errors import InputError
-from creak.records import Grid, Real, Rig
+from creak.records import Complex, Grid, Real, Rig
 
 EXCITATION = 0
 """Purpose of a random stream: ``SeedSequence((seed, realisation, purpose))``; sensor noise is another."""
@@ -104,7 +104,21 @@ def realisation(rig: Rig, rms: float, seed: int, index: int, design: Design = PA
     InputError
         If an amplitude of the design is not above 0.
     """
-    q, size, F = rig.q, rig.period_samples, len(rig.lines)
+    size = rig.period_samples
+    spectrum = np.zeros((rig.q, rig.q, size // 2 + 1), dtype=np.complex128)
+    spectrum[:, :, list(rig.lines)] = planned_spectra(rig, rms, seed, index, design)
+    return np.fft.irfft(spectrum * size, n=size, axis=-1)
+
+
+def planned_spectra(rig: Rig, rms: float, seed: int, index: int, design: Design = PAPER) -> Complex:
+    """Spectra of `realisation` at the excited lines, DFT divided by N, ``(q, q, F)``: experiment, input, line.
+
+    Raises
+    ------
+    InputError
+        As `realisation`.
+    """
+    q, F = rig.q, len(rig.lines)
     rng = np.random.default_rng(np.random.SeedSequence((seed, index, EXCITATION)))
     inputs = rng.uniform(0.0, 2.0 * np.pi, (q, F))
     own = rng.uniform(0.0, 2.0 * np.pi, (q, F)) if design.orthogonal == "random" else np.zeros((q, F))
@@ -117,6 +131,4 @@ def realisation(rig: Rig, rms: float, seed: int, index: int, design: Design = PA
     modulus = rms * shape / np.sqrt(2 * (shape**2).sum(axis=1, keepdims=True))
     if design.crest_iterations:
         phases = reduce_crest(phases, modulus, turn, rig.lines, design.crest_iterations)
-    spectrum = np.zeros((q, q, size // 2 + 1), dtype=np.complex128)
-    spectrum[:, :, list(rig.lines)] = phases.spectrum(modulus, turn)
-    return np.fft.irfft(spectrum * size, n=size, axis=-1)
+    return phases.spectrum(modulus, turn)

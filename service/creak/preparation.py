@@ -14,11 +14,11 @@ def prepare() -> None:
 
     The first time on a machine that takes some ten seconds, later a fraction of one; a second call does nothing.
     """
-    rig = Rig("none", 1.0, 16, 0, (1, 3), (Node("1", "m", "N"), Node("2", "m", "N")))
+    rig = Rig("none", 1.0, 32, 1, tuple(range(1, 16, 2)), (Node("1", "m", "N"), Node("2", "m", "N")))
     run = Run("none", rig, 2, 0, Excitation("measured"), "simulated", window=1)
     monitor = Monitor(run)
     rng = np.random.default_rng(0)
     for m in range(3):
         for c in range(rig.q):
             for p in range(run.periods):
-                monitor.take(Frame(m, c, p, 0, rng.standard_normal((2, 16)), rng.standard_normal((2, 16))))
+                monitor.take(Frame(m, c, p, 0, rng.standard_normal((2, 32)), rng.standard_normal((2, 32))))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from creak.compiling import reducing
+from creak.quality.spectra import coherent_power, early_differences, noise_gains, period_changes
 from creak.records import Complex, Real
 
 
@@ -38,7 +39,7 @@ class Clipping:
     limit: float
 
 
-def transient_share(periods: Complex) -> float | None:
+def transient_share(kept: Complex, node: int, discarded: Complex | None = None) -> float | None:
     """Power of what has not died out in the second of the given periods, as a share of the response's.
 
     Takes the differences ``D0`` of the first and ``D1`` of the second period from the mean of those that follow.
@@ -50,30 +51,26 @@ def transient_share(periods: Complex) -> float | None:
 
     Parameters
     ----------
-    periods : array, (q, P, F)
-        One response: spectra of the last discarded period, then of the kept ones; or of kept ones alone. P >= 3.
+    kept : array, (q, P, F, channels)
+        Spectra of the kept periods.
+    node : int
+        Which channel's.
+    discarded : array, (q, F), or None
+        That channel's in the last discarded period, the first of the given ones if it is known. Three in all.
 
     Returns
     -------
     float or None
     """
-    q, _, F = periods.shape
-    first = periods[:, 0] - periods[:, 1:].mean(axis=1)
-    second = periods[:, 1] - periods[:, 2:].mean(axis=1)
+    q, _, F = kept.shape[:3]
     width = min(F, 2 * (int(np.ceil(15 / q)) // 2) + 1)
     if width * q < 12:  # too few lines for a coherence to mean anything
         return None
-
-    def gathered(values: Real | Complex) -> Real | Complex:
-        return np.convolve(values.sum(axis=0), np.ones(width), mode="same")
-
-    cross = np.abs(gathered(second * first.conj())) ** 2
-    powers = np.asarray(gathered(np.abs(first) ** 2) * gathered(np.abs(second) ** 2), dtype=np.float64)
-    coherence = np.divide(cross, powers, out=np.zeros(F), where=powers > 0)
-    values = q * np.convolve(np.ones(F), np.ones(width), mode="same")  # fewer at the ends of the band
-    found = (values - 1) * np.log1p(-np.minimum(coherence, 1 - 1e-15)) < np.log(1e-9 / F)
-    response = (np.abs(periods[:, -1]) ** 2).sum()
-    share = float(((np.abs(second) ** 2).sum(axis=0) * coherence)[found].sum() / response) if response > 0 else 0.0
+    first, second, cross = np.empty(F), np.empty(F), np.empty(F, dtype=np.complex128)
+    before = np.zeros((0, 0), dtype=np.complex128) if discarded is None else np.ascontiguousarray(discarded)
+    response = early_differences(_lines_last(kept), node, before, first, second, cross)
+    found = coherent_power(first, second, cross, width, q, float(np.log(1e-9 / F)))
+    share = found / response if response > 0 else 0.0
     return share if share > 1e-8 else None
 
 
@@ -97,11 +94,12 @@ def period_drift(spectra: Complex, lines: tuple[int, ...], period_samples: int) 
     """
     if spectra.shape[1] < 2:
         return None
-    power = _power(spectra).sum(axis=(0, 1, 2))
-    weight = np.divide(1.0, power, out=np.zeros_like(power), where=power > 0)
-    before, after = spectra[:, :-1], spectra[:, 1:]
-    cross = np.einsum("epfi,epfi,i->f", after, before.conj(), weight)
-    moved = float(_power(after - before).sum(axis=(0, 1, 2)) @ weight)
+    F, channels = spectra.shape[2:]
+    powers, changes, crosses = np.empty(channels), np.empty(channels), np.empty((channels, F), dtype=np.complex128)
+    period_changes(_lines_last(spectra), powers, changes, crosses)
+    weight = np.divide(1.0, powers, out=np.zeros_like(powers), where=powers > 0)
+    cross = (weight[:, None] * crosses).sum(axis=0)
+    moved = float((weight * changes).sum())
     turned = 2 * float((np.abs(cross) - cross.real).sum())  # what a turn of its own at every line would explain
     if moved <= 0 or turned <= 0.5 * moved:
         return None
@@ -120,11 +118,38 @@ def period_drift(spectra: Complex, lines: tuple[int, ...], period_samples: int) 
         if bend <= 0:
             break
         shift += float(np.clip(slope / bend, -0.5 / fine, 0.5 / fine))
+    before, after = spectra[:, :-1], spectra[:, 1:]
     rest = float(_power(after - np.exp(1j * turn * shift)[:, None] * before).sum(axis=(0, 1, 2)) @ weight)
     share = 1 - rest / moved
     if abs(shift) < 1e-3 or share <= 0.5:
         return None
     return Drift(period_samples - shift, share)
+
+
+@reducing
+def _range(x: Real) -> tuple[float, float]:
+    """Smallest and largest sample; in lanes, since the compiler does not split such a search by itself."""
+    lanes = 64
+    low, high = np.full(lanes, x[0]), np.full(lanes, x[0])
+    whole = x.size - x.size % lanes
+    for first in range(0, whole, lanes):
+        for t in range(lanes):
+            value = x[first + t]
+            low[t] = value if value < low[t] else low[t]
+            high[t] = value if value > high[t] else high[t]
+    for i in range(whole, x.size):
+        low[0], high[0] = min(low[0], x[i]), max(high[0], x[i])
+    return low.min(), high.max()
+
+
+@reducing
+def _piled_up(x: Real, low: float, high: float, strip: float) -> int:
+    """How many samples lie in a strip at the larger or at the smaller end, whichever holds more."""
+    above, below = 0, 0
+    for i in range(x.size):
+        above += high - x[i] < strip
+        below += x[i] - low < strip
+    return max(above, below)
 
 
 @reducing
@@ -140,24 +165,32 @@ def unremarkable(x: Real) -> bool:
     bool
         True only if `clipping` finds nothing and `longest_hold` is 1.
     """
-    low, high, total, equal = x[0], x[0], x[0], 0
+    equal = 0
     for i in range(1, x.size):
-        low, high = min(low, x[i]), max(high, x[i])
-        total += x[i]
         equal += x[i] == x[i - 1]
-    mean, power = total / x.size, 0.0
+    if equal > 0:
+        return False
+    low, high = _range(x)
+    few = max(16.0, 0.005 * x.size)
+    # A little more than the strip of `clipping`, for rounding; and no signal's RMS is above half its range.
+    if _piled_up(x, low, high, 0.0011 * (high - low) / 2) < few:
+        return True
+    total, power = 0.0, 0.0
+    for i in range(x.size):
+        total += x[i]
+    mean = total / x.size
     for i in range(x.size):
         power += (x[i] - mean) ** 2
-    strip = 0.0011 * np.sqrt(power / x.size)  # a little more than the strip of `clipping`, for rounding
-    above, below = 0, 0
-    for i in range(x.size):
-        above += high - x[i] < strip
-        below += x[i] - low < strip
-    return equal == 0 and max(above, below) < max(16.0, 0.005 * x.size)
+    return _piled_up(x, low, high, 0.0011 * np.sqrt(power / x.size)) < few
 
 
 def _power(values: Complex) -> Real:
     return np.asarray(values.real**2 + values.imag**2)
+
+
+def _lines_last(spectra: Complex) -> Complex:
+    """``(q, P, F, channels)`` as the loops take them, ``(q, P, channels, F)``."""
+    return np.ascontiguousarray(spectra.swapaxes(2, 3))
 
 
 def clipping(x: Real) -> Clipping | None:
@@ -250,6 +283,14 @@ def match_input(U: Complex, planned: Complex, lines: tuple[int, ...], period_sam
     return InputMatch(min(1.0, peak / (have * want)), have / want)
 
 
+def _plainly_right(U: Complex, planned: Complex) -> bool:
+    """Tell without a search for the delay that an input ``(F,)`` is right: with the best one it matches better."""
+    have, want = float(np.vdot(U, U).real), float(np.vdot(planned, planned).real)
+    if have == 0 or want == 0:
+        return False
+    return InputMatch(float(np.vdot(planned, U).real) / np.sqrt(have * want), np.sqrt(have / want)).right
+
+
 def orthogonality_loss_db(U: Complex) -> float:
     """How much more noise the response matrix has than with orthogonal experiments of the same power, dB.
 
@@ -260,10 +301,9 @@ def orthogonality_loss_db(U: Complex) -> float:
     U : array, (F, q, q)
         Line, input, experiment; not singular.
     """
-    q = U.shape[1]
-    scaled = U / np.sqrt((np.abs(U) ** 2).mean(axis=2, keepdims=True))
-    inverse = np.linalg.inv(scaled @ scaled.conj().swapaxes(1, 2) / q)
-    return float(10 * np.log10(np.median(np.einsum("fii->fi", inverse).real.mean(axis=1))))
+    gains = np.empty(len(U))
+    noise_gains(np.ascontiguousarray(U.transpose(2, 1, 0)), gains)
+    return float(10 * np.log10(np.median(gains)))
 
 
 def wrong_inputs(
@@ -287,8 +327,9 @@ def wrong_inputs(
     """
     q = len(U)
     places = [(c, i) for c in range(q) for i in range(q)]
-    matches = {place: match_input(U[place], planned[place], lines, period_samples) for place in places}
-    wrong = [place for place in places if not matches[place].right]
+    doubtful = [place for place in places if not _plainly_right(U[place], planned[place])]
+    matches = {place: match_input(U[place], planned[place], lines, period_samples) for place in doubtful}
+    wrong = [place for place in doubtful if not matches[place].right]
     if not wrong:
         return None
     c, i = wrong[0]

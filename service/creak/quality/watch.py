@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from creak.multisine import realisation as multisine
+from creak.multisine import planned_spectra
 from creak.quality.checks import (
     Clipping,
     clipping,
@@ -82,8 +82,11 @@ class Watch:
         if (frame.u.shape, frame.y.shape) != ((rig.q, rig.period_samples), (rig.n, rig.period_samples)):
             return
         if frame.status is FrameStatus.TRANSIENT:
-            if frame.period == rig.transient_periods - 1 and np.isfinite(frame.y).all():
-                self._discarded[frame.experiment] = spectrum(rig, frame.u, frame.y)[:, rig.q :]
+            if frame.period == rig.transient_periods - 1:
+                with np.errstate(invalid="ignore", over="ignore"):
+                    responses = spectrum(rig, frame.u[:0], frame.y).T
+                if np.isfinite(responses).all():  # a sample that is not finite leaves no line finite
+                    self._discarded[frame.experiment] = responses
             return
         for channel, x in enumerate((*frame.u, *frame.y)):
             if unremarkable(np.ascontiguousarray(x, dtype=np.float64)):
@@ -100,10 +103,11 @@ class Watch:
         """Give the findings about a complete realisation, whose frames were all taken."""
         if realisation.index != self._index:
             self._begin(realisation.index)
+        inputs = realisation.spectra[..., : self._run.rig.q].swapaxes(2, 3).mean(axis=1)  # (experiment, input, F)
         findings = [
             *self._pinned(),
-            *self._wrong_inputs(realisation),
-            *self._not_orthogonal(realisation),
+            *self._wrong_inputs(realisation, inputs),
+            *self._not_orthogonal(inputs),
             *self._not_periodic(realisation),
         ]
         self._begin(-1)
@@ -135,20 +139,17 @@ class Watch:
         rig = self._run.rig
         return (rig.nodes[channel - rig.q].name,) if channel >= rig.q else ()
 
-    def _wrong_inputs(self, realisation: Realisation) -> list[_Finding]:
+    def _wrong_inputs(self, realisation: Realisation, inputs: Complex) -> list[_Finding]:
         run, rig = self._run, self._run.rig
         plan = run.excitation
         if plan.kind != "multisine" or plan.rms is None or plan.seed is None:
             return []
-        planned = np.fft.rfft(multisine(rig, plan.rms, plan.seed, realisation.index))[..., list(rig.lines)]
-        planned /= rig.period_samples
-        U = realisation.spectra[..., : rig.q].mean(axis=1).swapaxes(1, 2)  # (experiment, input, F)
-        wrong = wrong_inputs(U, planned, rig.lines, rig.period_samples, self._channels)
+        planned = planned_spectra(rig, plan.rms, plan.seed, realisation.index)
+        wrong = wrong_inputs(inputs, planned, rig.lines, rig.period_samples, self._channels)
         return [(FaultKind.WRONG_INPUT, wrong, ())] if wrong else []
 
-    def _not_orthogonal(self, realisation: Realisation) -> list[_Finding]:
-        q = self._run.rig.q
-        loss = orthogonality_loss_db(realisation.spectra[..., :q].mean(axis=1).transpose(1, 2, 0))
+    def _not_orthogonal(self, inputs: Complex) -> list[_Finding]:
+        loss = orthogonality_loss_db(inputs.transpose(2, 1, 0))
         if not loss > 1.0:
             return []
         text = f"the experiments are not orthogonal; the response matrix has {loss:.1f} dB more noise for it"
@@ -156,17 +157,18 @@ class Watch:
 
     def _not_periodic(self, realisation: Realisation) -> list[_Finding]:
         rig = self._run.rig
-        drift = period_drift(realisation.spectra, rig.lines, rig.period_samples)
+        # Beside detection lines the excited ones do not lie side by side: they are copied once for all checks.
+        spectra = np.ascontiguousarray(realisation.spectra.swapaxes(2, 3)).swapaxes(2, 3)
+        drift = period_drift(spectra, rig.lines, rig.period_samples)
         if drift is not None:
             text = f"{drift.described(rig.period_samples)}: that explains {100 * drift.share:.0f} % of the change"
             return [(FaultKind.DRIFT, f"{text} from period to period", ())]
-        periods = realisation.spectra[..., rig.q :]
+        before = None
         if len(self._discarded) == rig.q:
-            before = np.stack([self._discarded[c] for c in range(rig.q)])
-            periods = np.concatenate((before[:, None], periods), axis=1)
-        if periods.shape[1] < 3:
+            before = np.stack([self._discarded[c] for c in range(rig.q)], axis=1)  # (n, q, F)
+        if spectra.shape[1] + (before is not None) < 3:
             return []
-        shares = [transient_share(periods[..., i]) for i in range(rig.n)]
+        shares = [transient_share(spectra, rig.q + i, None if before is None else before[i]) for i in range(rig.n)]
         known = [share or 0.0 for share in shares]
         worst = int(np.argmax(known))
         if not known[worst]:
