@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import scipy.stats
 
 from creak.gap.periodic import PeriodicData
 from creak.gap.records import BandShare, GapLevels, NodeGap
@@ -53,6 +52,8 @@ def noise_bound(data: PeriodicData, experiments: int, probability: float = 0.99)
     Per line and node the sum over E experiments, over a variance of ``nu`` degrees of freedom, is E times an
     F(2E, 2nu) variable; the mean over lines and nodes is nearly normal.
     """
+    import scipy.stats  # here, as it takes a quarter of the start of any command
+
     lines, n = data.variance.shape
     # Of the whitened power a line's own part varies by 1/E; the part that its variance estimate brings is shared
     # by the lines that were pooled for it.
