@@ -17,6 +17,7 @@ from creak.records import AlarmChange, Counts, RunEnd, RunStatus
 from creak.sinks import actions, queries, tables
 from creak.sinks.background import BackgroundStore
 from creak.sinks.database import open_store
+from creak.sinks.inbox import Inbox
 from creak.sinks.restart import saved_memory
 from creak.sinks.store import StoreSink
 from creak.worker import Worker
@@ -181,3 +182,23 @@ def test_operator_is_heard_and_a_restart_remembers(store):
     assert [
         c for c in changes if c.event == "raised"
     ] == []  # it stands and is acknowledged; nobody is woken again
+
+
+def test_many_rigs_ask_the_store_once_for_what_operators_want(store, monkeypatch):
+    """Kills a hundred rigs that ask a hundred times as often as one, and an action that another rig hears."""
+    inbox, reads = Inbox(store), []
+    rigs = [f"rig {k}" for k in range(100)]
+    for rig in rigs:
+        assert inbox.waiting(rig, 0) == []
+    with store.write() as connection:
+        for rig in rigs[:3] * 2:
+            actions.ask(connection, rig, Action("a", ActionKind.ACKNOWLEDGE, rig))
+    wait_for(lambda: inbox.waiting(rigs[0], 0))
+    read = store.read
+    monkeypatch.setattr(store, "read", lambda: (reads.append(1), read())[1])
+    monkeypatch.setattr("creak.sinks.inbox.LOOK_SECONDS", 3600.0)
+    found = {rig: inbox.waiting(rig, 0) for rig in rigs}
+    assert {asked.action.by for rig in rigs for asked in found[rig] if asked.action.by != rig} == set()
+    assert [len(found[rig]) for rig in rigs[:4]] == [2, 2, 2, 0]
+    assert inbox.waiting(rigs[0], found[rigs[0]][0].seq) == found[rigs[0]][1:]
+    assert reads == []

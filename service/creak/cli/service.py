@@ -42,6 +42,7 @@ from creak.records import Estimate, Rig, Run, RunEnd
 from creak.sinks import keys
 from creak.sinks.background import BackgroundStore
 from creak.sinks.catalogue import CataloguedRecorder
+from creak.sinks.inbox import Inbox
 from creak.sinks.protocol import Sink
 from creak.sinks.recorder import Recorder
 from creak.sinks.restart import recorded_until, saved_memory
@@ -197,7 +198,8 @@ def _run(
     recorders = [
         Recorder(settings.data, max_bytes=limits.max_bytes, max_seconds=limits.max_seconds) for _ in sources
     ]
-    desks = [BackgroundStore(store, StoreSink(store)) for _ in sources]
+    inbox = Inbox(store)
+    desks = [BackgroundStore(store, StoreSink(store), inbox=inbox) for _ in sources]
     supervisor = Supervisor()
     workers = [
         Worker(

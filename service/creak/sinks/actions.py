@@ -7,7 +7,7 @@ carries it out and writes the answer. Without a worker the API does the same wit
 
 import time
 import uuid
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import sqlalchemy as sa
@@ -19,6 +19,17 @@ from creak.sinks.alarm_rows import change_of, put_alarm
 from creak.sinks.operator_tables import actions
 
 PENDING, DONE, STALE, NOT_ALLOWED = "pending", "done", "stale", "not_allowed"
+
+_WAITING = (  # asked ten times a second, so it is put together once
+    sa.select(actions)
+    .where(
+        actions.c.rig.in_(sa.bindparam("rigs", expanding=True)),
+        ~actions.c.folded,
+        actions.c.seq > sa.bindparam("after"),
+    )
+    .order_by(actions.c.seq)
+    .limit(100)
+)
 
 _KEPT = 1_000_000_000 * 86_400 * 400  # ns; the journal has the rest
 
@@ -77,20 +88,14 @@ def waiting(connection: sa.Connection, rig: str, after: int) -> list[Asked]:
     return _asked(connection, [rig], after).get(rig, [])
 
 
-def waiting_for(connection: sa.Connection, rigs: Sequence[str]) -> dict[str, list[Asked]]:
+def waiting_for(connection: sa.Connection, rigs: Collection[str]) -> dict[str, list[Asked]]:
     """Return the actions that the monitors of several rigs do not know, in order, by rig."""
     return _asked(connection, rigs, 0)
 
 
-def _asked(connection: sa.Connection, rigs: Sequence[str], after: int) -> dict[str, list[Asked]]:
-    query = (
-        sa.select(actions)
-        .where(actions.c.rig.in_(rigs), ~actions.c.folded, actions.c.seq > after)
-        .order_by(actions.c.seq)
-        .limit(100)
-    )
+def _asked(connection: sa.Connection, rigs: Collection[str], after: int) -> dict[str, list[Asked]]:
     found: dict[str, list[Asked]] = {}
-    for row in connection.execute(query).mappings():
+    for row in connection.execute(_WAITING, {"rigs": list(rigs), "after": after}).mappings():
         action = Action(
             alarm=row["alarm"],
             kind=ActionKind(row["kind"]),

@@ -22,12 +22,12 @@ from creak.monitor import Memory
 from creak.records import AlarmChange, Frame, Run, RunEnd
 from creak.sinks import actions
 from creak.sinks.actions import Asked
+from creak.sinks.inbox import LOOK_SECONDS, Inbox
 from creak.sinks.store import Store, StoreSink
 
 _log = logging.getLogger(__name__)
 
 _QUEUE = 4_000
-_POLL_SECONDS = 0.1
 _RETRY_SECONDS = 0.5
 _PATIENCE_SECONDS = 15.0  # a store that is busy for less is nobody's concern
 _CLOSE_SECONDS = 2.0
@@ -49,15 +49,24 @@ class BackgroundStore:
         Records that may wait.
     patience : float
         Seconds without success after which the worker is told.
+    inbox : Inbox or None
+        Shared with the other rigs of the process; one of its own if not given.
     """
 
     def __init__(
-        self, store: Store, sink: StoreSink, *, queue: int = _QUEUE, patience: float = _PATIENCE_SECONDS
+        self,
+        store: Store,
+        sink: StoreSink,
+        *,
+        queue: int = _QUEUE,
+        patience: float = _PATIENCE_SECONDS,
+        inbox: Inbox | None = None,
     ) -> None:
         self._store = store
         self._sink = sink
         self._limit = queue
         self._patience = patience
+        self._inbox = inbox or Inbox(store)
         self._jobs: deque[Job] = deque()
         self._asked: deque[Asked] = deque()
         self._seen = 0
@@ -172,12 +181,12 @@ class BackgroundStore:
                 if not self._jobs:
                     if self._closing:
                         return
-                    self._news.wait(_POLL_SECONDS)
+                    self._news.wait(LOOK_SECONDS)
                 job = self._jobs[0] if self._jobs else None
             try:
                 if job is not None:
                     self._do(job)
-                if time.monotonic() - looked >= _POLL_SECONDS:
+                if time.monotonic() - looked >= LOOK_SECONDS:
                     looked = time.monotonic()
                     self._sink.tick(looked)
                     self._look()
@@ -200,10 +209,9 @@ class BackgroundStore:
         self._jobs.popleft()
 
     def _look(self) -> None:
-        with self._store.read() as connection:
-            for asked in actions.waiting(connection, self._rig, self._seen):
-                self._seen = asked.seq
-                self._asked.append(asked)
+        for asked in self._inbox.waiting(self._rig, self._seen):
+            self._seen = asked.seq
+            self._asked.append(asked)
 
     def _note_failure(self, error: StorageError) -> None:
         self._failure = str(error)
