@@ -109,7 +109,7 @@ def test_moments_are_those_of_the_residuals_about_any_matrix(rng, n, q, P):
     rig = make_rig(n, q, lines=range(1, 131))  # two tiles and a bit
     spectra = random_spectra(rng, rig, 1, P, noise=0.1)[0]
     about = rng.standard_normal((130, n, q)) + 1j * rng.standard_normal((130, n, q))
-    got = Sums.of(spectra, q, about=about)
+    got = Sums.of(spectra, q, S=about)
     V = spectra.copy()
     V[..., q:] -= np.einsum("fnq,epfq->epfn", about, V[..., :q])
     mean = V.mean(axis=1)

@@ -31,12 +31,12 @@ class Block:
     left_out: LineSums
 
     @classmethod
-    def of(cls, realisation: Realisation, inputs: int, about: Complex | None = None) -> "Block":
-        """Sums of one realisation, residuals about a matrix ``(F, n, q)`` or its own best linear approximation."""
+    def of(cls, realisation: Realisation, inputs: int) -> "Block":
+        """Sums of one realisation."""
         left_out = realisation.left_out
         excited = realisation.spectra if left_out.size else left_out
         return cls(
-            sums=Sums.of(realisation.spectra, inputs, realisation.S, about),
+            sums=Sums.of(realisation.spectra, inputs, realisation.S),
             excited=LineSums.of(excited[..., inputs:]),
             left_out=LineSums.of(left_out[..., inputs:]),
         )

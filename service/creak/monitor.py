@@ -312,8 +312,7 @@ class Monitor:
         return outcomes
 
     def _complete(self, realisation: Realisation) -> list[Outcome]:
-        block = Block.of(realisation, self.run.rig.q, self._about)
-        return self._judge(realisation, block, self._watch.judge(realisation))
+        return self._judge(realisation, Block.of(realisation, self.run.rig.q), self._watch.judge(realisation))
 
     def _judge(self, realisation: Last, block: Block, flaws: tuple[Flaw, ...]) -> list[Outcome]:
         rig = self.run.rig

@@ -79,7 +79,7 @@ class Sums:
         )
 
     @classmethod
-    def of(cls, spectra: Complex, inputs: int, S: Complex | None = None, about: Complex | None = None) -> "Sums":
+    def of(cls, spectra: Complex, inputs: int, S: Complex | None = None) -> "Sums":
         """Sums of one complete realisation.
 
         Parameters
@@ -91,8 +91,6 @@ class Sums:
             q.
         S : array, (F, n, q), or None
             ``mean_p(Y) mean_p(U)^-1`` if it is known already.
-        about : array, (F, n, q), or None
-            What the residuals are to be taken about, near ``S``; ``S`` itself if None.
 
         Raises
         ------
@@ -105,7 +103,7 @@ class Sums:
             S = _response(V, inputs)
         between, within = np.empty((width**2, lines)), np.empty((width**2, lines))
         period_sums = np.empty((periods, width, lines), dtype=np.complex128)
-        residual_moments(V, _lines_last(S if about is None else about), between, within, period_sums)
+        residual_moments(V, _lines_last(S), between, within, period_sums)
         return cls(
             realisations=1,
             periods=periods,
@@ -114,7 +112,6 @@ class Sums:
             packed_between=between,
             packed_within=within,
             period_sums=period_sums.swapaxes(1, 2),
-            about=about,
         )
 
     def __add__(self, other: "Sums") -> "Sums":

@@ -52,8 +52,9 @@ class Summing:
     def take(self, frame):
         found = self.collector.take(frame).realisation
         if found is not None:
-            self.about = found.S if self.about is None else self.about
-            block = Block.of(found, self.run.rig.q, self.about)
+            block = Block.of(found, self.run.rig.q)
+            self.about = block.sums.S if self.about is None else self.about
+            block = block.about(self.about)
             self.window.push(block)
             self.whole = block if self.whole is None else self.whole + block
             self.last = found
