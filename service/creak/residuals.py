@@ -10,7 +10,7 @@ import numpy as np
 from creak.compiling import vectorised
 from creak.records import Complex, Real
 
-_TILE = 32  # lines that are worked on together
+_TILE = 64  # lines that are worked on together
 
 POWERS = 7
 """Powers that :func:`residual_powers` gives, in its order."""
@@ -99,24 +99,21 @@ def residual_powers(
                     v_real[i, t] = period_sums[p, i, first + t].real
                     v_imag[i, t] = period_sums[p, i, first + t].imag
             for i in range(n):
-                y_real, y_imag = v_real[q + i], v_imag[q + i]
                 for j in range(q):
-                    d_real, d_imag, u_real, u_imag = D_real[i, j], D_imag[i, j], v_real[j], v_imag[j]
                     for t in range(_TILE):
-                        y_real[t] += d_real[t] * u_real[t] - d_imag[t] * u_imag[t]
-                        y_imag[t] += d_real[t] * u_imag[t] + d_imag[t] * u_real[t]
+                        v_real[q + i, t] += D_real[i, j, t] * v_real[j, t] - D_imag[i, j, t] * v_imag[j, t]
+                        v_imag[q + i, t] += D_real[i, j, t] * v_imag[j, t] + D_imag[i, j, t] * v_real[j, t]
                 for t in range(m):
-                    powers[3, i, first + t] += y_real[t] * y_real[t] + y_imag[t] * y_imag[t]
+                    powers[3, i, first + t] += v_real[q + i, t] ** 2 + v_imag[q + i, t] ** 2
             if networked:
                 for i in range(n):
                     for t in range(_TILE):
                         a[t] = 0.0
                         b[t] = 0.0
                     for j in range(start, w):
-                        x_real, x_imag, y_real, y_imag = g_real[i, j], g_imag[i, j], v_real[j], v_imag[j]
                         for t in range(_TILE):
-                            a[t] += x_real[t] * y_real[t] - x_imag[t] * y_imag[t]
-                            b[t] += x_real[t] * y_imag[t] + x_imag[t] * y_real[t]
+                            a[t] += g_real[i, j, t] * v_real[j, t] - g_imag[i, j, t] * v_imag[j, t]
+                            b[t] += g_real[i, j, t] * v_imag[j, t] + g_imag[i, j, t] * v_real[j, t]
                     for t in range(m):
                         powers[6, i, first + t] += a[t] * a[t] + b[t] * b[t]
 
@@ -145,28 +142,25 @@ def _shear(D_real: Real, D_imag: Real, real: Real, imag: Real) -> None:
     n, q = D_real.shape[:2]
     for i in range(n):  # R R^H first needs the old R U^H: + D (U R^H)
         for j in range(i + 1):
-            a, b = real[q + i, q + j], imag[q + i, q + j]
             for k in range(q):
-                x_real, x_imag, y_real, y_imag = D_real[i, k], D_imag[i, k], real[q + j, k], imag[q + j, k]
                 for t in range(_TILE):
-                    a[t] += x_real[t] * y_real[t] + x_imag[t] * y_imag[t]
-                    b[t] += x_imag[t] * y_real[t] - x_real[t] * y_imag[t]
+                    a, b, c, d = D_real[i, k, t], D_imag[i, k, t], real[q + j, k, t], imag[q + j, k, t]
+                    real[q + i, q + j, t] += a * c + b * d
+                    imag[q + i, q + j, t] += b * c - a * d
     for i in range(n):  # R U^H + D U U^H
         for j in range(q):
-            a, b = real[q + i, j], imag[q + i, j]
             for k in range(q):
-                x_real, x_imag, y_real, y_imag = D_real[i, k], D_imag[i, k], real[k, j], imag[k, j]
                 for t in range(_TILE):
-                    a[t] += x_real[t] * y_real[t] - x_imag[t] * y_imag[t]
-                    b[t] += x_real[t] * y_imag[t] + x_imag[t] * y_real[t]
+                    a, b, c, d = D_real[i, k, t], D_imag[i, k, t], real[k, j, t], imag[k, j, t]
+                    real[q + i, j, t] += a * c - b * d
+                    imag[q + i, j, t] += a * d + b * c
     for i in range(n):  # and with the new one: + (R U^H) D^H
         for j in range(i + 1):
-            a, b = real[q + i, q + j], imag[q + i, q + j]
             for k in range(q):
-                x_real, x_imag, y_real, y_imag = real[q + i, k], imag[q + i, k], D_real[j, k], D_imag[j, k]
                 for t in range(_TILE):
-                    a[t] += x_real[t] * y_real[t] + x_imag[t] * y_imag[t]
-                    b[t] += x_imag[t] * y_real[t] - x_real[t] * y_imag[t]
+                    a, b, c, d = real[q + i, k, t], imag[q + i, k, t], D_real[j, k, t], D_imag[j, k, t]
+                    real[q + i, q + j, t] += a * c + b * d
+                    imag[q + i, q + j, t] += b * c - a * d
 
 
 @vectorised
@@ -179,14 +173,12 @@ def _moved(x_real: Real, x_imag: Real, real: Real, imag: Real, row: int, total: 
             a[t] = real[row, j, t]
             b[t] = imag[row, j, t]
         for k in range(j):
-            z_real, z_imag, y_real, y_imag = x_real[k], x_imag[k], real[j, k], imag[j, k]
             for t in range(_TILE):
-                a[t] += y_real[t] * z_real[t] + y_imag[t] * z_imag[t]
-                b[t] += y_real[t] * z_imag[t] - y_imag[t] * z_real[t]
-        g_real, g_imag, own = x_real[j], x_imag[j], real[j, j]
+                a[t] += real[j, k, t] * x_real[k, t] + imag[j, k, t] * x_imag[k, t]
+                b[t] += real[j, k, t] * x_imag[k, t] - imag[j, k, t] * x_real[k, t]
         for t in range(_TILE):
-            power = g_real[t] * g_real[t] + g_imag[t] * g_imag[t]
-            total[t] += power * own[t] + 2.0 * (g_real[t] * a[t] + g_imag[t] * b[t])
+            power = x_real[j, t] * x_real[j, t] + x_imag[j, t] * x_imag[j, t]
+            total[t] += power * real[j, j, t] + 2.0 * (x_real[j, t] * a[t] + x_imag[j, t] * b[t])
 
 
 @vectorised
@@ -199,14 +191,12 @@ def _form(g_real: Real, g_imag: Real, start: int, real: Real, imag: Real, total:
             a[t] = 0.0
             b[t] = 0.0
         for j in range(start, i):
-            x_real, x_imag, y_real, y_imag = g_real[j], g_imag[j], real[i, j], imag[i, j]
             for t in range(_TILE):
-                a[t] += y_real[t] * x_real[t] + y_imag[t] * x_imag[t]
-                b[t] += y_real[t] * x_imag[t] - y_imag[t] * x_real[t]
-        z_real, z_imag, own = g_real[i], g_imag[i], real[i, i]
+                a[t] += real[i, j, t] * g_real[j, t] + imag[i, j, t] * g_imag[j, t]
+                b[t] += real[i, j, t] * g_imag[j, t] - imag[i, j, t] * g_real[j, t]
         for t in range(_TILE):
-            power = z_real[t] * z_real[t] + z_imag[t] * z_imag[t]
-            total[t] += power * own[t] + 2.0 * (z_real[t] * a[t] + z_imag[t] * b[t])
+            power = g_real[i, t] * g_real[i, t] + g_imag[i, t] * g_imag[i, t]
+            total[t] += power * real[i, i, t] + 2.0 * (g_real[i, t] * a[t] + g_imag[i, t] * b[t])
 
 
 @vectorised
@@ -271,25 +261,23 @@ def _decompose(q: int, m: int, real: Real, imag: Real, L_real: Real, L_imag: Rea
     """``A = L D L^H`` of the first q rows of a tile, `L` of unit diagonal; False if `D` is not above 0."""
     for j in range(q):
         for i in range(j, q):
-            a, b = L_real[i, j], L_imag[i, j]
             for t in range(m):
-                a[t] = real[i, j, t]
-                b[t] = imag[i, j, t]
+                L_real[i, j, t] = real[i, j, t]
+                L_imag[i, j, t] = imag[i, j, t]
             for k in range(j):
-                x_real, x_imag, y_real, y_imag, size = L_real[i, k], L_imag[i, k], L_real[j, k], L_imag[j, k], d[k]
                 for t in range(m):
-                    z_real, z_imag = size[t] * y_real[t], size[t] * y_imag[t]
-                    a[t] -= x_real[t] * z_real + x_imag[t] * z_imag
-                    b[t] -= x_imag[t] * z_real - x_real[t] * z_imag
+                    a, b = d[k, t] * L_real[j, k, t], d[k, t] * L_imag[j, k, t]
+                    L_real[i, j, t] -= L_real[i, k, t] * a + L_imag[i, k, t] * b
+                    L_imag[i, j, t] -= L_imag[i, k, t] * a - L_real[i, k, t] * b
             if i == j:
                 for t in range(m):
-                    d[j, t] = a[t]
-                    if not a[t] > 0.0:
+                    d[j, t] = L_real[j, j, t]
+                    if not d[j, t] > 0.0:
                         return False
             else:
                 for t in range(m):
-                    a[t] /= d[j, t]
-                    b[t] /= d[j, t]
+                    L_real[i, j, t] /= d[j, t]
+                    L_imag[i, j, t] /= d[j, t]
     return True
 
 
@@ -300,26 +288,22 @@ def _minus_divided(
     """``-b A^-1`` of a row ``(q, tile)``: forwards ``z L^H = b``, ``z / D``, backwards ``k L = z``."""
     q = len(K_real)
     for j in range(q):
-        a, b = K_real[j], K_imag[j]
         for t in range(_TILE):
-            a[t] = -row_real[j, t]
-            b[t] = -row_imag[j, t]
+            K_real[j, t] = -row_real[j, t]
+            K_imag[j, t] = -row_imag[j, t]
         for k in range(j):
-            x_real, x_imag, y_real, y_imag = K_real[k], K_imag[k], L_real[j, k], L_imag[j, k]
             for t in range(_TILE):
-                a[t] -= x_real[t] * y_real[t] + x_imag[t] * y_imag[t]
-                b[t] -= x_imag[t] * y_real[t] - x_real[t] * y_imag[t]
+                K_real[j, t] -= K_real[k, t] * L_real[j, k, t] + K_imag[k, t] * L_imag[j, k, t]
+                K_imag[j, t] -= K_imag[k, t] * L_real[j, k, t] - K_real[k, t] * L_imag[j, k, t]
     for j in range(q):
         for t in range(_TILE):
             K_real[j, t] /= d[j, t]
             K_imag[j, t] /= d[j, t]
     for j in range(q - 1, -1, -1):
-        a, b = K_real[j], K_imag[j]
         for k in range(j + 1, q):
-            x_real, x_imag, y_real, y_imag = K_real[k], K_imag[k], L_real[k, j], L_imag[k, j]
             for t in range(_TILE):
-                a[t] -= x_real[t] * y_real[t] - x_imag[t] * y_imag[t]
-                b[t] -= x_real[t] * y_imag[t] + x_imag[t] * y_real[t]
+                K_real[j, t] -= K_real[k, t] * L_real[k, j, t] - K_imag[k, t] * L_imag[k, j, t]
+                K_imag[j, t] -= K_real[k, t] * L_imag[k, j, t] + K_imag[k, t] * L_real[k, j, t]
 
 
 @vectorised

@@ -5,7 +5,7 @@ import numpy as np
 from creak.compiling import vectorised
 from creak.records import Complex, Real
 
-_TILE = 32  # lines that are worked on together
+_TILE = 64  # lines that are worked on together
 
 
 @vectorised
