@@ -58,7 +58,7 @@ def _attempt(rng, count):
         there.append((kind, at, effects.draw_strength(rng, kind, at, structure, u, fs)))
     snr_db = float(rng.uniform(35.0, 50.0))
     clear = CLEAR_DB - snr_db - 10 * np.log10(periods)
-    few = u[:: len(structure.nodes)]  # an experiment a realisation tells how large a gap is
+    few = u[-len(structure.nodes) :]  # the realisation that a diagnosis keeps aside, by which it states its gaps
     seen = responses(structure, there, few, fs)
 
     def left(some):

@@ -81,7 +81,7 @@ def run(case, folder, timeout=300.0):
     measured = {"recording": (case.u, case.y)} | ({"healthy": case.healthy} if case.healthy else {})
     for name, (u, y) in measured.items():
         np.savez(inside / "measured.npz", u=u, y=y)
-        made = creak(inside, 120.0, "import", "measured.npz", "--rig", "rig.toml", "--output", f"{name}.mcap")
+        made = creak(inside, timeout, "import", "measured.npz", "--rig", "rig.toml", "--output", f"{name}.mcap")
         if made.returncode != 0:
             raise RuntimeError(f"the recording was refused: {made.stderr.strip()}")
     for name in ("measured.npz", "rig.toml"):

@@ -92,7 +92,7 @@ class Candidate:
         signal = self._signal(view, experiments)
         rms, peak = float(np.std(signal)), float(np.max(np.abs(signal)))
         if self.kind in (ActuatorSaturation, SensorClipping):
-            return peak * np.linspace(0.1, 0.98, 14)
+            return peak * np.concatenate([np.geomspace(0.01, 0.08, 6), np.linspace(0.1, 0.98, 14)])
         if self.kind is ActuatorDeadZone:
             return rms * np.geomspace(SMALLEST, 2.0, 14)
         if self.kind is ActuatorHysteresis:

@@ -21,6 +21,8 @@ from creak.records import Real
 
 _FAILED = 2.0  # whitened power beyond which a law has not explained a place, and a hidden mode is tried there
 _MEANS = 8  # turns in which an even law and the mean that it makes are found
+_ONCE = 5  # pairs of laws that are given one turn, for every one that is given more
+_TURNS = 4  # at most
 _SMALL = 6  # experiments on which inner parameters are searched
 
 
@@ -206,19 +208,33 @@ class Scan:
 
     def pairs(self, pairs: Sequence[tuple[Trial, Trial]], free: NDArray[np.bool_], most: int) -> list[Found]:
         """Pairs of trials fitted jointly; the best of them with their inner parameters optimised in turn."""
-        rough = []
-        for one, other in pairs:
-            fit = self._small.fit([one.column, other.column], free)
-            rough.append((fit.left, one, other))
-        rough.sort(key=lambda item: item[0])
-        found = []
-        for _, one, other in rough[:most]:
-            a, b = one, other
-            for _ in range(3):
-                a = self.trial(a.candidate, free, [b.column])
-                b = self.trial(b.candidate, free, [a.column])
-            found.append(self.hypothesis([a, b], free))
+        found = [self.hypothesis(pair, free) for pair in self.paired(pairs, free, most)]
         return sorted(found, key=lambda item: item.rest)
+
+    def paired(
+        self, pairs: Sequence[tuple[Trial, Trial]], free: NDArray[np.bool_], most: int
+    ) -> list[tuple[Trial, Trial]]:
+        """The best pairs of trials, fitted jointly, their inner parameters optimised in turn, the best first.
+
+        Laws whose inner parameters were found alone may fit badly together and be right, so many get one turn.
+        """
+        rough = [(self._small.fit([one.column, other.column], free).left, one, other) for one, other in pairs]
+        rough.sort(key=_rest)
+        once = [self._turn(pair[1:], free) for pair in rough[: _ONCE * most]]
+        found = []
+        for first in sorted(once, key=_rest_of_pair)[:most]:
+            pair, before = self._turn(first, free), _rest_of_pair(first)
+            for _ in range(_TURNS):
+                if _rest_of_pair(pair) > 0.99 * before:
+                    break
+                pair, before = self._turn(pair, free), _rest_of_pair(pair)
+            found.append(pair)
+        return sorted(found, key=_rest_of_pair)
+
+    def _turn(self, pair: tuple[Trial, Trial], free: NDArray[np.bool_]) -> tuple[Trial, Trial]:
+        """Inner parameters of a pair optimised once each."""
+        one = self.trial(pair[0].candidate, free, [pair[1].column])
+        return one, self.trial(pair[1].candidate, free, [one.column])
 
     def pruned(self, trials: Sequence[Trial], free: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
         """Linear elements that matter: the one that costs least is dropped until every one costs ``least``.
@@ -255,6 +271,11 @@ class Scan:
 
 def _rest(item: tuple[Any, ...]) -> float:
     return float(item[0])
+
+
+def _rest_of_pair(pair: tuple[Trial, Trial]) -> float:
+    """What a pair leaves: as its second law has it, which was fitted beside the first."""
+    return pair[1].rest
 
 
 def _massless(candidate: Candidate) -> bool:

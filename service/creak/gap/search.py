@@ -15,6 +15,7 @@ from creak.gap.refine import Refined, refine
 from creak.gap.regression import Indices
 from creak.gap.scan import Found, Scan, Trial, combos, replacement
 from creak.gap.setting import Setting
+from creak.gap.together import Together
 from creak.gap.view import see
 from creak.mechanics.effects import Resonator, Restoring
 from creak.mechanics.electronics import Electronic
@@ -24,6 +25,7 @@ Report = Callable[[str, float], None]
 CLOSED = 5e-3  # of the excess over noise that an explanation may leave
 FLOOR = 1.12  # times noise that it may leave
 MOST_EFFECTS = 3
+IDLE = 15.0  # twice the log likelihood, less what its parameters cost, that an effect must bring beside others
 _FEW = 4  # experiments on which hypotheses compete
 _SCANNED = 12  # experiments on which regressions are taken
 _COMPETING = 4  # best regressions that are fitted to the output
@@ -51,12 +53,37 @@ class Search:
         self._stage = ("", 0.0, 0.0)
 
     def run(self) -> Searched:
+        """Search, and leave out of what was found each effect without which the rest explains as much."""
+        searched = self._stages()
+        if not searched.explained:
+            return searched
+        return replace(searched, ranked=(*self._without_idle(searched.ranked[0]), *searched.ranked))
+
+    def _without_idle(self, best: Ranked) -> tuple[Ranked, ...]:
+        """Hypothesis without its idle effects; nothing if every one matters."""
+        found: tuple[Ranked, ...] = ()
+        while len(effects := best.hypothesis.effects) > 1:
+            fewer = [
+                refine(self.setting, replace(best.hypothesis, effects=kept), self.few, self.aside, 3)
+                for kept in (effects[:i] + effects[i + 1 :] for i in range(len(effects)))
+            ]
+            ranked = sorted(
+                (Ranked(item, self.score(item)) for item in fewer if self.explains(item)),
+                key=lambda item: item.score,
+            )
+            if not ranked or ranked[0].score > best.score + IDLE:
+                break
+            best = ranked[0]
+            found = (best, *found)
+        return found
+
+    def _stages(self) -> Searched:
         """Try one effect, wrong parameters of the model's own, linear elements, both, and pairs, in this order."""
         base = self.scan(self.setting)
         places = base.places(base.none)
         many_nodes = self.setting.rig.n > 1
         one_place = many_nodes and places[0][0] < ONE_PLACE
-        self._begin("one effect", 0.1, 0.3)
+        self._begin("one effect", 0.1, 0.25)
         singles: list[Found] = []
         trials: dict[tuple[str, ...], list[Trial]] = {}
         # A law leaves at least what a free force at its place leaves.
@@ -65,6 +92,12 @@ class Search:
         stage = self.compete([*self._replacements(), *singles])
         if self.explained(stage):
             return Searched(stage, True, places)
+        together: tuple[Ranked, ...] = ()
+        if not one_place:
+            self._begin("effects at places of their own", 0.25, 0.3)
+            together = self.compete(Together(base).run())
+            if self.explained(together):
+                return Searched(together, True, places)
         beside: tuple[Ranked, ...] = ()
         placed: list[tuple[float, str, tuple[str, ...]]] = []
         if not one_place:
@@ -81,7 +114,7 @@ class Search:
         more = self._several(base, one_place=one_place)
         if self.explained(more):
             return Searched(more, True, places if one_place else self._places_after(more[0]))
-        two = (*two, *more)
+        two = (*together, *two, *more)
         every = tuple(sorted([*stage, *beside, *two], key=lambda item: item.score))
         if beside and every[0] in beside:
             places = self._places_after(every[0])

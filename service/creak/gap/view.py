@@ -54,6 +54,8 @@ class View:
     names : tuple of str
         Names of the nodes; a point that is not measured may follow, with its column and motion in `columns`,
         `d`, `v` and `D`.
+    opened : array, (L, n, k), optional
+        Orthonormal patterns of forces that are left free: no pattern and no motion along them counts.
     """
 
     rig: Rig
@@ -71,6 +73,7 @@ class View:
     motion: Real
     r: Complex
     names: tuple[str, ...]
+    opened: Complex | None = None
 
     def weights(self, at: tuple[str, ...]) -> Real:
         """Incidence of an internal place over the names, ``(n,)`` where all are measured."""
@@ -100,6 +103,13 @@ class View:
         at : tuple of str
         kind : {"internal", "actuator", "sensor"}
         """
+        q = self._pattern(at, kind)
+        if self.opened is None:
+            return q
+        along = np.einsum("lnk,ln->lk", self.opened.conj(), q)
+        return np.asarray(q - np.einsum("lnk,lk->ln", self.opened, along))
+
+    def _pattern(self, at: tuple[str, ...], kind: str) -> Complex:
         if kind == "internal":
             return np.asarray((self.columns @ self.weights(at)) / self.sigma)
         i = self.names.index(at[0])

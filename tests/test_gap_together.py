@@ -1,0 +1,81 @@
+"""Effects at places of their own, and two at one: places by free forces, laws one at a time."""
+
+import numpy as np
+import pytest
+
+from creak.gap.diagnose import diagnose
+from creak.gap.records import Verdict
+from creak.gap.scan import Scan
+from creak.gap.together import Together, moved, opened, spot_sets
+from creak.gap.view import see
+from creak.mechanics.effects import Clearance, CoulombFriction, CubicStiffness, Hysteresis, OneSidedStop
+from creak.mechanics.electronics import ActuatorSaturation, SensorClipping
+from gap_recordings import CHAIN, RIG, recording
+
+CUBIC = CubicStiffness(("2", "ground"), 2e8)
+CLIPPED = SensorClipping(("2",), 1e-3)
+
+
+def scanned(*effects):
+    """Regressions on a recording with effects that the model lacks."""
+    data = recording(effects)
+    every = np.arange(len(data.u))
+    return Scan(see(RIG, CHAIN, data, 400), every[:9], every[9:], data.degrees / (data.degrees - 1))
+
+
+def test_motion_behind_a_clipping_sensor_is_restored():
+    """Kills laws that are tried on a motion that a sensor has spoilt: it comes back to 1 % of what was cut off."""
+    places = [("internal", ("2", "ground")), ("sensor", ("2",))]
+    whole, cut = scanned(CUBIC).view, scanned(CUBIC, CLIPPED).view
+    lost = np.sum((cut.d[:, 1] - whole.d[:, 1]) ** 2)
+    back = np.sum((moved(cut, places).d[:, 1] - whole.d[:, 1]) ** 2)
+    assert lost > 0.01 * np.sum(whole.d[:, 1] ** 2)
+    assert back < 1e-2 * lost
+
+
+def test_a_law_is_told_beside_free_forces_elsewhere():
+    """Kills patterns from which the free force was not taken out: it leaves noise, other laws do not."""
+    scan = scanned(CUBIC, ActuatorSaturation(("1",), 70.0))
+    view = opened(scan.view, [("actuator", ("1",))])
+    beside = Scan(view, *scan.sums.sets, scan.floor * 2 / 3)
+    trials = beside.trials("internal", ("2", "ground"), beside.none)
+    assert trials[0].candidate.kind is CubicStiffness
+    assert trials[0].rest == pytest.approx(1.0, abs=0.1)
+    assert trials[1].rest > 3.0
+
+
+def test_places_that_make_the_same_forces_all_compete():
+    """Kills a search that keeps one side pair of a closed triangle and drops the true one."""
+    scan = scanned(CubicStiffness(("1", "2"), 3e8), CoulombFriction(("2", "ground"), 5.0, 0.02))
+    sets = [{spot[0][1] for spot in spots} for spots in spot_sets(scan)]
+    for wanted in (
+        {("1", "2"), ("2", "ground")},
+        {("1", "2"), ("1", "ground")},
+        {("1", "ground"), ("2", "ground")},
+    ):
+        assert wanted in sets
+    best = Together(scan).run()[0].hypothesis
+    assert {effect.effect for effect in best.effects} == {"cubic_stiffness", "coulomb_friction"}
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (CUBIC, CLIPPED),
+        (Hysteresis(("3", "ground"), 4e4, 3e-4), SensorClipping(("3",), 7e-4)),
+        (OneSidedStop(("3", "ground"), 3e4, 1e-4), Hysteresis(("3", "ground"), 2e4, 3e-4)),
+        (
+            Clearance(("2", "ground"), 4e4, 3e-4),
+            CubicStiffness(("2", "ground"), 3e8),
+            ActuatorSaturation(("1",), 70.0),
+        ),
+    ],
+    ids=lambda effects: "-".join(effect.effect for effect in effects),
+)
+def test_all_are_named_and_none_is_invented(effects):
+    """Kills a search that a spoilt sensor misleads, or that drops a pair whose laws fit badly alone."""
+    found = diagnose(RIG, CHAIN, recording(effects))
+    assert found.verdict is Verdict.EXPLAINED
+    assert {(cause.effect, frozenset(cause.at)) for cause in found.causes} == {
+        (effect.effect, frozenset(effect.at)) for effect in effects
+    }
