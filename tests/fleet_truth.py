@@ -21,7 +21,7 @@ def expected(folder, rig):
     settings = load_service(folder / "analyse.toml")
     rigs = named_rigs(settings, "analyse.toml")
     plan = next(plan_of(t, r) for t, r in zip(settings.rigs, rigs, strict=True) if r.name == rig)
-    journal = Journal(folder / f"data-{rig}" / f"{rig}.sent.json")
+    journal = _journal(folder, rig)
     estimates, changes, complete, memory = {}, [], {}, None
     for run in journal.runs:
         monitor = None
@@ -77,7 +77,12 @@ def progress(engine):
         return {row.rig: row for row in connection.execute(sa.select(*columns))}
 
 
-def closed(engine, rigs):
-    """True if the last run of every rig has been told to its end."""
+def closed(engine, folder, rigs):
+    """True if the last run of every rig has been told to its end; an earlier one may end long before it."""
     rows = progress(engine)
-    return all(rig in rows and rows[rig].realisation == CLOSING for rig in rigs)
+    last = {rig: _journal(folder, rig).runs[-1].begun for rig in rigs}
+    return all(rig in rows and (rows[rig].begun, rows[rig].realisation) == (last[rig], CLOSING) for rig in rigs)
+
+
+def _journal(folder, rig):
+    return Journal(folder / f"data-{rig}" / f"{rig}.sent.json")

@@ -63,6 +63,7 @@ class Analyser:
         self._told: list[tuple[str, dict[str, Any]]] = []
         self._busy: str | None = None
         self._rigs: dict[str, RigAnalysis] = {}
+        self.taken = 0  # letters since it began
         self._generation = 0
         self._identity = ""
         self._warned: dict[str, str] = {}
@@ -234,6 +235,7 @@ class Analyser:
                 analysis = self._rigs.get(rig) or self._open(rig, epoch)
                 if analysis.step(time.time_ns()):
                     progress = True
+                    self.taken += 1
                 else:
                     self._due[rig] = now + (_GAP_SECONDS if analysis.reader.waiting else _LOOK_SECONDS)
                 self._warned.pop(rig, None)

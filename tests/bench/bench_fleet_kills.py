@@ -134,7 +134,7 @@ def measure(kills, seed=1, pace=4.0, lease=12.0):
                 print(f"{number + 1}/{kills}: {name}, goes on after {waited:.1f} s", file=sys.stderr)
         for rig in RIGS:
             fleet.processes.kill(rig, signal.SIGTERM)
-        wait(lambda: closed(engine, RIGS))
+        wait(lambda: closed(engine, folder, RIGS))
         result = {"realisations": 0, "lost": 0, "counted twice": 0, "different": 0}
         result |= {"alarm changes": 0, "alarms lost": 0, "alarms doubled": 0}
         for rig in RIGS:

@@ -59,15 +59,21 @@ def test_nothing_is_lost_or_counted_twice_when_parts_of_a_fleet_are_killed(folde
     What the store holds at the end is compared with what the workers' own recordings say it must be.
     """
     path, server, engine, processes = folder
-    processes.start("one", "analyse", "analyse.toml")
+    told = {name: free_port() for name in ("one", RIGS[0])}
+    processes.start("one", "analyse", "analyse.toml", CREAK_STREAM__METRICS_PORT=str(told["one"]))
     processes.start("two", "analyse", "analyse.toml")
     for rig in RIGS:
-        processes.start(rig, "worker", f"{rig}-worker.toml")
+        own = {"CREAK_STREAM__METRICS_PORT": str(told[rig])} if rig in told else {}
+        processes.start(rig, "worker", f"{rig}-worker.toml", **own)
     port = free_port()
     processes.start("api", "serve", "analyse.toml", "--api-only", CREAK_SERVER__PORT=str(port))
     wait_for("each analyser has a rig", lambda: len(owners(engine)) == 2, processes)
     for rig in RIGS:
         goes_on(engine, processes, rig)
+
+    figures = {name: httpx.get(f"http://127.0.0.1:{own}/metrics").text for name, own in told.items()}
+    assert "creak_rigs_owned 1.0" in figures["one"]
+    assert 'creak_realisations_total{rig="a"}' in figures["a"]
 
     processes.kill("one")
     wait_for("its rig is taken over", lambda: len(owners(engine)) == 1, processes)
@@ -95,7 +101,7 @@ def test_nothing_is_lost_or_counted_twice_when_parts_of_a_fleet_are_killed(folde
 
     for rig in RIGS:
         assert processes.kill(rig, signal.SIGTERM) == 0
-    wait_for("all is told", lambda: closed(engine, RIGS), processes)
+    wait_for("all is told", lambda: closed(engine, path, RIGS), processes)
     for name in ("one", "two"):
         assert processes.kill(name, signal.SIGTERM) == 0
     assert not owners(engine)

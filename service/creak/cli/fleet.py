@@ -15,6 +15,7 @@ import typer
 from creak.analyser import Analyser
 from creak.analysis import Plan
 from creak.broker import Broker, StreamLimits
+from creak.cli.fleet_metrics import AnalyserCollector, WorkerCollector, served
 from creak.cli.progress import prepare_loops
 from creak.cli.sources import make_folder, named_rigs, open_source, plan_of
 from creak.cli.supervision import Supervisor
@@ -61,16 +62,17 @@ def worker(config: Annotated[Path, typer.Argument(help="Service file (creak.toml
     whole_frames = stream.send == "frames"
     broker = _broker(stream)
     supervisor = Supervisor()
-    workers = []
+    workers, told = [], []
     for source in sources:
         recorder = Recorder(settings.data, max_bytes=parts.max_bytes, max_seconds=parts.max_seconds)
         sink = StreamSink(broker, stream.name, settings.data, retold, whole_frames=whole_frames, live=source.live)
         gatherer = Gatherer(source.run, whole_frames=whole_frames)
         watch = supervisor.watch(source.run.rig.name)
         workers.append(Worker(source, [recorder, sink, watch], gatherer=gatherer))
+        told.append((gatherer, sink))
     signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with suppress(KeyboardInterrupt):
+        with served(stream.metrics_port, WorkerCollector(told, broker)), suppress(KeyboardInterrupt):
             for each in workers:
                 each.start()
             supervisor.ready()
@@ -110,8 +112,10 @@ def analyse(config: Annotated[Path, typer.Argument(help="Service file (creak.tom
         supervisor = Supervisor()
         supervisor.begin("analyser")
         supervisor.ready()
-        with suppress(KeyboardInterrupt):
-            _analyser(settings.stream, store, broker, plans).run(lambda now: supervisor.tick("analyser", now))
+        analyser = _analyser(settings.stream, store, broker, plans)
+        told = AnalyserCollector(analyser, broker)
+        with served(settings.stream.metrics_port, told), suppress(KeyboardInterrupt):
+            analyser.run(lambda now: supervisor.tick("analyser", now))
         supervisor.stopping()
         broker.close()
     finally:

@@ -27,6 +27,8 @@ class StreamTable(Strict):
     """After which the rigs of an analyser that is gone are taken over."""
     repair_seconds: Positive = 60.0
     """For which an analyser waits for what is missing before it goes on without it."""
+    metrics_port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """Where a worker or analyser tells Prometheus its own figures, on loopback; nowhere if left out."""
 
     @model_validator(mode="after")
     def _kept_for_longer_than_a_gap_may_last(self) -> Self:

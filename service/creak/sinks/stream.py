@@ -137,6 +137,11 @@ class StreamSink:
         """Place of the last letter that the broker has."""
         return self._sent
 
+    @property
+    def waiting(self) -> int:
+        """Letters in memory that the broker does not have; older ones are in the recording alone."""
+        return len(self._waiting)
+
     def _put(self, digest: Digest, end: RunEnd | None = None) -> None:
         letter = Letter(self._begun, self._before, self._run, digest, end, self._live)
         with self._news:
