@@ -2,13 +2,17 @@
 
 Scheduler and workers are processes on this machine, one thread each, started before and idle while the other
 cluster works. Beside the times stand the cores that the workers had in them: where a machine has other work as
-well, two workers do not get two cores. With ``--cases K`` also K blind trials on each.
+well, two workers do not get two cores. What the machine itself allows is told by the same replay in one and two
+bare processes, without Dask, in the same turns. With ``--cases K`` also K blind trials on each cluster.
 """
 
+import multiprocessing
 import os
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from operator import add
@@ -22,7 +26,7 @@ import bench_blind
 from figures import options, show
 
 from conftest import make_rig, make_run
-from creak.cluster import Here, connected
+from creak.cluster import Here, connected, tree
 from creak.monitor import Monitor
 from creak.multisine import realisation
 from creak.records import Frame, RunEnd, RunStatus
@@ -51,11 +55,30 @@ def record(path, seed, realisations):
     return path
 
 
-def used(cluster):
-    """Processor time of the workers and the processes that they have ended, s."""
+class Bare:
+    """So many processes that replay recordings, and nothing else."""
+
+    def __init__(self, count):
+        self._pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+        list(self._pool.map(time.sleep, [0.5] * count))  # all of them have begun
+
+    @property
+    def pids(self):
+        return list(self._pool._processes)
+
+    def reduce(self, function, items, combine, done):
+        results = list(self._pool.map(function, items))
+        return tree(len(results), results.__getitem__, combine)
+
+    def close(self):
+        self._pool.shutdown()
+
+
+def used(pids):
+    """Processor time of processes and those that they have ended, s."""
     ticks = 0
-    for worker in cluster.workers:
-        fields = Path(f"/proc/{worker.pid}/stat").read_text().rpartition(")")[2].split()
+    for pid in pids:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         ticks += sum(map(int, fields[11:15]))  # user and system time, own and of children
     return ticks / os.sysconf("SC_CLK_TCK")
 
@@ -73,53 +96,63 @@ def measure(repetitions, recordings, realisations, cases):
             machines(folder / "of-2", 2) as two,
             connected(one.address) as single,
             connected(two.address) as double,
+            closing(Bare(1)) as alone,
+            closing(Bare(2)) as pair,
         ):
+            bare = alone, pair
             while (single.threads, double.threads) != (1, 2):
                 time.sleep(0.1)
 
             def replay(place):
                 return place.reduce(partial(replayed, ahead=False), parts, add, lambda: None).block.sums.S
 
-            works = {
+            pairs = {
                 f"replay of {recordings} recordings": {
-                    "here": partial(replay, Here()), "one": partial(replay, single), "two": partial(replay, double)
+                    "Dask": (partial(replay, single), partial(replay, double)),
+                    "processes": (partial(replay, bare[0]), partial(replay, bare[1])),
+                    "here": (partial(replay, Here()),),
                 }
-            }  # fmt: skip
+            }
             if cases:
                 tried = partial(bench_blind.main, cases=cases, seed=7, show=False)
-                works[f"{cases} blind trials"] = {
-                    "here": partial(tried, processes=1),
-                    "one": partial(tried, scheduler=one.address),
-                    "two": partial(tried, scheduler=two.address),
+                pairs[f"{cases} blind trials"] = {
+                    "Dask": (partial(tried, scheduler=one.address), partial(tried, scheduler=two.address))
                 }
-            for what, ways in works.items():
-                taken = {way: [] for way in ways}
-                cores = {way: [] for way in ways}
-                came = {}
+            pids = {"Dask": [[worker.pid for worker in cluster.workers] for cluster in (one, two)]}
+            pids |= {"processes": [each.pids for each in bare], "here": [[os.getpid()]]}
+            for what, ways in pairs.items():
+                took = {(way, k): [] for way, works in ways.items() for k in range(len(works))}
                 for _ in range(repetitions + 1):
-                    for way, work in ways.items():
-                        cluster = {"one": one, "two": two}.get(way)
-                        begun, before = time.perf_counter(), used(cluster) if cluster else 0.0
-                        came[way] = work()
-                        taken[way].append(time.perf_counter() - begun)
-                        cores[way].append((used(cluster) - before) / taken[way][-1] if cluster else 1.0)
-                if what.startswith("replay"):
-                    assert np.array_equal(came["one"], came["two"]), "the result hangs on the number of workers"
-                    assert np.array_equal(came["here"], came["two"]), "the result hangs on where it was computed"
-                here, first, second = (np.array(taken[way][1:]) for way in ways)
-                had = np.array(cores["two"][1:]) / np.array(cores["one"][1:])
-                rows.append(
-                    {
-                        "what": what,
-                        "here s": float(np.median(here)),
-                        "one worker s": float(np.median(first)),
-                        "two workers s": float(np.median(second)),
-                        "times faster": float(np.median(first / second)),
-                        "most": float(np.max(first / second)),
-                        "cores, two to one": float(np.median(had)),
-                        "processor time, one to two": float(np.median(first / second / had)),
-                    }
+                    came = []
+                    for (way, k), each in took.items():
+                        begun, before = time.perf_counter(), used(pids[way][k])
+                        came.append(ways[way][k]())
+                        each.append((time.perf_counter() - begun, used(pids[way][k]) - before))
+                    if what.startswith("replay"):
+                        assert all(np.array_equal(came[0], other) for other in came), (
+                            "the result hangs on the place"
+                        )
+                seconds, busy = (
+                    {key: np.array([each[part] for each in of[1:]]) for key, of in took.items()} for part in (0, 1)
                 )
+                for way in ways:
+                    if way == "here":
+                        continue
+                    first, second = seconds[way, 0], seconds[way, 1]
+                    faster, cost = first / second, busy[way, 1] / busy[way, 0]
+                    rows.append(
+                        {
+                            "what": f"{what}, {way}",
+                            "one s": float(np.median(first)),
+                            "two s": float(np.median(second)),
+                            "times faster": float(np.median(faster)),
+                            "most": float(np.max(faster)),
+                            "cores one had": float(np.median(busy[way, 0] / first)),
+                            "cores two had": float(np.median(busy[way, 1] / second)),
+                            "processor s of one": float(np.median(busy[way, 0])),
+                            "processor time, two to one": float(np.median(cost)),
+                        }
+                    )
     return rows
 
 
