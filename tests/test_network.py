@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import reduce
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -61,6 +62,26 @@ def test_levels_do_not_depend_on_what_the_moments_are_about(rng, q, network, lin
         x, y = getattr(got.spectra, name), getattr(expected.spectra, name)
         np.testing.assert_allclose(x, y, rtol=1e-9, err_msg=name)
     assert len(got.elements) == len(expected.elements)
+
+
+@pytest.mark.parametrize("n", [2, 3, 7])
+@pytest.mark.parametrize("lines", [3, 70])
+def test_rows_of_given_edges_are_least_squares_over_the_experiments(rng, n, lines):
+    """Kills a neighbour left out or in the wrong place, and a tile of lines that is not full; against numpy's."""
+    names = [str(i + 1) for i in range(n)]
+    edges = tuple(pair for pair in combinations(names, 2) if rng.random() < 0.5) or (("1", "2"),)
+    rig = make_rig(n, lines=range(2, 2 + lines), samples=256, network=edges)
+    sums, _ = run_of(rig, random_spectra(rng, rig, 3, 2, noise=0.1))
+    G_u, G_y = node_to_node(sums, rig)
+    factor = np.linalg.cholesky(sums.between[:, :n, :n])
+    motion = sums.S @ factor
+    for i, name in enumerate(names):
+        near = [names.index(b) for pair in edges for a, b in (pair, pair[::-1]) if a == name]
+        Z = np.concatenate((factor[:, i : i + 1], motion[:, near]), axis=1)
+        row = np.einsum("fk,fkj->fj", motion[:, i], np.linalg.pinv(Z))
+        np.testing.assert_allclose(G_u[:, i], row[:, 0], rtol=1e-8)
+        np.testing.assert_allclose(G_y[:, i, near], row[:, 1:], rtol=1e-8)
+        assert not np.delete(G_y[:, i], near, axis=1).any()
 
 
 @pytest.mark.parametrize("network", [None, CHAIN])

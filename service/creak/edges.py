@@ -6,12 +6,12 @@ Both questions are answered from :class:`creak.statistics.Sums` alone.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.special
+from numpy.typing import NDArray
 
-from creak.network import fitted_parameters, node_to_node
-from creak.records import Real, Rig
+from creak.network import NONE, Forms, edge_forms, fitted_parameters, neighbours, powers_of
+from creak.records import Complex, Real, Rig
 from creak.residuals import least_squares_powers, lines_last
-from creak.significance import pooled_p_value
+from creak.significance import pooled_p_value, variance_ratio_p_values
 from creak.statistics import Sums, quadratic
 
 
@@ -66,18 +66,23 @@ def edge_tests(rig: Rig, sums: Sums) -> tuple[EdgeTest, ...]:
     n = rig.n
     if rig.network is None or not rig.square or sums.realisations < 2:
         return ()
-    sums = sums.about_least_squares()
-    coherent, rest = _split(rig, sums)
-    left = n - fitted_parameters(rig)
-    rest_free = sums.experiments - n
+    sums = replace(sums, S=sums.least_squares(), about=sums.S if sums.about is None else sums.about)
+    near = neighbours(rig)
+    _, pull, misfit = edge_forms(sums, np.arange(n), near)
+    coherent = _coherent(misfit, sums)
+    networked = powers_of(sums, Forms(NONE, pull))[2]
+    assert networked is not None
+    left, rest_free = n - fitted_parameters(rig), sums.experiments - n
     p = np.ones((len(rig.lines), n))
     open_ = left > 0
-    ratio = (coherent[:, open_] / left[open_]) / (rest[:, open_] / rest_free)
-    p[:, open_] = scipy.special.fdtrc(2 * left[open_], 2 * rest_free, ratio)
+    for i in np.flatnonzero(open_).tolist():
+        p[:, i] = variance_ratio_p_values(
+            coherent[:, i], networked.between[:, i], float(left[i]), float(rest_free)
+        )
     pooled = np.where(open_, pooled_p_value(p), 1.0)
     tests = []
     for i, node in enumerate(rig.nodes):
-        missing = _most_missed(rig, sums, i) if pooled[i] < 0.05 else None
+        missing = _most_missed(rig, sums, near[i], i) if pooled[i] < 0.05 else None
         tests.append(EdgeTest(node.name, float(pooled[i]), missing))
     return tuple(tests)
 
@@ -142,31 +147,17 @@ def reference(sums: Sums, names: tuple[str, ...]) -> Reference:
     return Reference(replace(sums, S=sums.least_squares(), about=about), (sentence,))
 
 
-def _split(rig: Rig, sums: Sums) -> tuple[Real, Real]:
-    """Coherent misfit and incoherent rest of every node's networked residual, each ``(F, n)``."""
-    G_u, G_y = node_to_node(sums, rig)
-    n = rig.n
-    pull = G_y - np.eye(n)
-    misfit = pull @ sums.S
-    misfit[:, np.arange(n), np.arange(n)] += G_u
-    apart = np.concatenate((np.zeros_like(pull), pull), axis=2)
-    return quadratic(misfit, sums.packed_between), quadratic(apart, sums.packed_between)
+def _coherent(misfit: Complex, sums: Sums) -> Real:
+    """Power of what rows ``(rows, n, F)`` leave of the inputs, ``(F, rows)``."""
+    return quadratic(misfit.transpose(2, 0, 1), sums.packed_between)
 
 
-def _most_missed(rig: Rig, sums: Sums, i: int) -> str | None:
+def _most_missed(rig: Rig, sums: Sums, near: NDArray[np.bool_], i: int) -> str | None:
     """Name of the node whose edge to node ``i`` would leave least misfit there."""
-    name = rig.nodes[i].name
-    near = {b for a, b in _both_ways(rig) if a == name}
-    others = [node.name for node in rig.nodes if node.name != name and node.name not in near]
-    if not others:
+    others = np.flatnonzero(~near & (np.arange(rig.n) != i))
+    if not others.size:
         return None
-    rests = [
-        float(_split(replace(rig, network=((*(rig.network or ()), (name, other)))), sums)[0][:, i].sum())
-        for other in others
-    ]
-    return others[int(np.argmin(rests))]
-
-
-def _both_ways(rig: Rig) -> tuple[tuple[str, str], ...]:
-    edges = rig.network or ()
-    return (*edges, *((b, a) for a, b in edges))
+    joined = np.repeat(near[None], others.size, axis=0)
+    joined[np.arange(others.size), others] = True
+    _, _, misfit = edge_forms(sums, np.full(others.size, i), joined)
+    return rig.nodes[int(others[np.argmin(_coherent(misfit, sums).sum(axis=0))])].name

@@ -10,10 +10,11 @@ Every residual of the method is a linear form ``e = g V`` of ``V = [U; R]``, so 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from creak.location import locate
 from creak.records import Complex, ElementShare, Estimate, NodeLevel, Real, Rig, Scope, Spectra
-from creak.residuals import POWERS, lines_last, pulls, residual_powers
+from creak.residuals import POWERS, edge_rows, lines_last, pulls, residual_powers
 from creak.significance import line_p_values, pooled_p_value, q_values
 from creak.statistics import Sums
 
@@ -46,31 +47,21 @@ def node_to_node(sums: Sums, rig: Rig) -> tuple[Complex, Complex]:
         If ``S`` cannot be inverted, for instance because a sensor is dead.
     """
     n = rig.n
+    diagonal = np.arange(n)
     if rig.network is None:
         inputs, pull = _dense_pull(sums.S)
-        diagonal = np.arange(n)
         pull[diagonal, diagonal] = 0.0
         return inputs.T, pull.transpose(2, 0, 1)
-    G_u = np.zeros((len(rig.lines), n), dtype=np.complex128)
-    G_y = np.zeros((len(rig.lines), n, n), dtype=np.complex128)
-    inputs = sums.between[:, :n, :n]  # P sum_e U U^H: how strongly each direction of the inputs was excited
-    factor = np.linalg.cholesky(inputs)
-    simulated = sums.S @ factor
-    for i, near in enumerate(_neighbours(rig)):
-        Z = np.concatenate((factor[:, i : i + 1], simulated[:, near]), axis=1)
-        # Inputs and motions differ by orders of magnitude; rows of unit length keep the pseudo-inverse sharp.
-        scale = np.linalg.norm(Z, axis=2)
-        row = np.einsum("fk,fkj->fj", simulated[:, i], np.linalg.pinv(Z / scale[..., None])) / scale
-        G_u[:, i] = row[:, 0]
-        G_y[:, i, near] = row[:, 1:]
-    return G_u, G_y
+    inputs, pull, _ = edge_forms(sums, np.arange(n), neighbours(rig))
+    pull[diagonal, diagonal] = 0.0
+    return inputs.T, pull.transpose(2, 0, 1)
 
 
 def fitted_parameters(rig: Rig) -> Real:
     """Complex parameters that the networked analysis fits at each node and line, d_i, ``(n,)``."""
     if rig.network is None:
         return np.full(rig.n, float(rig.n))
-    return np.array([1.0 + len(near) for near in _neighbours(rig)])
+    return np.asarray(1.0 + neighbours(rig).sum(axis=1))
 
 
 def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) -> Estimate:
@@ -110,7 +101,7 @@ def estimate(rig: Rig, sums: Sums, scope: Scope, time: int, realisation: int) ->
                 "networked levels need a response matrix that can be inverted; this one is singular"
             )
     n, F = rig.n, len(rig.lines)
-    signal, classical, networked = _powers(sums, forms)
+    signal, classical, networked = powers_of(sums, forms)
     classical_total, classical_noise = _variances(classical, sums)
     p_value = np.full(n, np.nan)
     line_p = classical_p = np.full((F, n), np.nan)
@@ -164,33 +155,61 @@ def _elements(rig: Rig, sums: Sums, p_value: Real) -> tuple[ElementShare, ...]:
         return ()
 
 
-def _neighbours(rig: Rig) -> list[list[int]]:
-    """Indices of the nodes that share an edge with each node, rising."""
+def neighbours(rig: Rig) -> NDArray[np.bool_]:
+    """Which nodes share an edge, ``(n, n)``; none of a dense network, whose edges are not given."""
     names = [node.name for node in rig.nodes]
-    near: list[set[int]] = [set() for _ in names]
+    near = np.zeros((rig.n, rig.n), dtype=np.bool_)
     for a, b in rig.network or ():
         i, j = names.index(a), names.index(b)
-        near[i].add(j)
-        near[j].add(i)
-    return [sorted(indices) for indices in near]
+        near[i, j] = near[j, i] = True
+    return near
 
 
-class _Forms(NamedTuple):
+class Forms(NamedTuple):
     """Networked residuals (36) as ``e = misfit U + pull R``, lines last, ``(n, n, F)``."""
 
     misfit: Complex
     pull: Complex
 
 
-def _networked_forms(rig: Rig, sums: Sums) -> _Forms:
+def _networked_forms(rig: Rig, sums: Sums) -> Forms:
     n = rig.n
     if rig.network is None:  # G_u + (G_y - I) S vanishes
-        return _Forms(_NONE, _dense_pull(sums.S)[1])
-    G_u, G_y = node_to_node(sums, rig)
-    pull = G_y - np.eye(n)  # acts on Y = S U + R
-    misfit = pull @ sums.S
-    misfit[:, np.arange(n), np.arange(n)] += G_u
-    return _Forms(lines_last(misfit), lines_last(pull))
+        return Forms(NONE, _dense_pull(sums.S)[1])
+    _, pull, misfit = edge_forms(sums, np.arange(n), neighbours(rig))
+    return Forms(misfit, pull)
+
+
+def edge_forms(sums: Sums, nodes: NDArray[np.intp], near: NDArray[np.bool_]) -> tuple[Complex, Complex, Complex]:
+    """Rows of ``G`` for given edges, any number for a node.
+
+    Parameters
+    ----------
+    sums : Sums
+        As many nodes as inputs.
+    nodes : array, (rows,)
+        The node of each row.
+    near : array, (rows, n)
+        Its neighbours.
+
+    Returns
+    -------
+    inputs : array, (rows, F)
+        ``G_u`` of the node.
+    pull, misfit : array, (rows, n, F)
+        The row's ``G_y``, with -1 at the node itself; what remains of the inputs in ``misfit U + pull R``.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If inputs do not span all directions, or a neighbour does not move.
+    """
+    rows, n, F = len(nodes), sums.inputs, len(sums.S)
+    inputs = np.empty((rows, F), dtype=np.complex128)
+    pull, misfit = np.empty((rows, n, F), dtype=np.complex128), np.empty((rows, n, F), dtype=np.complex128)
+    if not edge_rows(lines_last(sums.S), sums.packed_between, nodes, near, inputs, pull, misfit):
+        raise np.linalg.LinAlgError("the inputs, or the motion of a node, are singular at a line")
+    return inputs, pull, misfit
 
 
 def _dense_pull(S: Complex) -> tuple[Complex, Complex]:
@@ -207,10 +226,11 @@ def _dense_pull(S: Complex) -> tuple[Complex, Complex]:
     return inputs, pull
 
 
-_NONE = np.zeros((0, 0, 0), dtype=np.complex128)
+NONE = np.zeros((0, 0, 0), dtype=np.complex128)
+"""A form that is nothing."""
 
 
-class _Powers(NamedTuple):
+class Powers(NamedTuple):
     """Sums of squares of residuals, each ``(F, n)``: between and within experiments, and of the periods' sums."""
 
     between: Real
@@ -218,7 +238,7 @@ class _Powers(NamedTuple):
     common: Real
 
 
-def _powers(sums: Sums, forms: _Forms | None) -> tuple[Real, _Powers, _Powers | None]:
+def powers_of(sums: Sums, forms: Forms | None) -> tuple[Real, Powers, Powers | None]:
     """Signal power ``(F, n)``; the powers of classical and networked residuals."""
     F, n = sums.S.shape[:2]
     powers = np.empty((POWERS, n, F))
@@ -229,21 +249,21 @@ def _powers(sums: Sums, forms: _Forms | None) -> tuple[Real, _Powers, _Powers | 
         np.ascontiguousarray(sums.period_sums.swapaxes(1, 2)),
         S,
         S if sums.about is None else lines_last(sums.about),
-        _NONE if forms is None else forms.misfit,
-        _NONE if forms is None else forms.pull,
+        NONE if forms is None else forms.misfit,
+        NONE if forms is None else forms.pull,
         powers,
     )
     signal, *residuals = powers.swapaxes(1, 2)
     signal /= sums.experiments * sums.periods
-    return signal, _Powers(*residuals[:3]), None if forms is None else _Powers(*residuals[3:])
+    return signal, Powers(*residuals[:3]), None if forms is None else Powers(*residuals[3:])
 
 
-def _p_values(powers: _Powers, sums: Sums, fitted: Real) -> Real:
+def _p_values(powers: Powers, sums: Sums, fitted: Real) -> Real:
     """p-values of the residuals per line and node, ``(F, n)``."""
     return line_p_values(powers.between, powers.within, sums.experiments, sums.periods, fitted)
 
 
-def _variances(powers: _Powers, sums: Sums) -> tuple[Real, Real]:
+def _variances(powers: Powers, sums: Sums) -> tuple[Real, Real]:
     """Total (39) and noise (40) variance of residuals, each ``(F, n)``; NaN where the data carry none."""
     E, P = sums.experiments, sums.periods
     none = np.full(powers.between.shape, np.nan)
