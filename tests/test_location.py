@@ -15,8 +15,36 @@ from bench.bench_location import study
 from conftest import make_rig, random_spectra
 from creak.cli import run
 from creak.location import locate
+from creak.location.evidence import Evidence, along, incidence
 from creak.statistics import Sums
 from test_network import run_of
+
+
+def positive(rng, F, n):
+    X = rng.standard_normal((F, n, n + 2)) + 1j * rng.standard_normal((F, n, n + 2))
+    return X @ X.conj().swapaxes(1, 2)
+
+
+@pytest.mark.parametrize(
+    ("n", "edges"),
+    [(1, ((0, 1),)), (3, ((0, 1),)), (3, ((0, 3), (1, 2))), (5, ((0, 1), (1, 2), (3, 5))), (4, ((2, 3), (0, 4)))],
+)
+def test_forces_taken_out_one_by_one_are_taken_out_together(rng, n, edges):
+    """Kills a sign, a ground taken for a node, and a half that is not mirrored; against the projection of all."""
+    J, H = positive(rng, 40, n), positive(rng, 40, n)
+    evidence = Evidence(J, H, 3, 20, np.ones(40), np.zeros(40))
+    got = evidence.without(edges)
+    A = incidence(edges, n)
+    rest = np.eye(n) - J @ A @ np.linalg.inv(A.T @ J @ A) @ A.T
+    np.testing.assert_allclose(got.J, rest @ J, rtol=0, atol=1e-12 * np.abs(J).max())
+    np.testing.assert_allclose(got.H, rest @ H @ rest.conj().swapaxes(1, 2), rtol=0, atol=1e-12 * np.abs(H).max())
+    np.testing.assert_allclose(along(H, edges), A.T @ H @ A, rtol=1e-12)
+    places, gains = evidence.gains()
+    of = {place: gains[:, k] for k, place in enumerate(places)}
+    for k, edge in enumerate(edges):
+        a = A[:, k]
+        expected = (a @ H @ a).real / ((a @ J @ a).real * evidence.bias)
+        np.testing.assert_allclose(of[edge], expected, rtol=1e-12)
 
 
 def forced(rng, n, pairs, *, realisations=6, lines=40, strength=1.0, noise=1e-3, mix=0.0):

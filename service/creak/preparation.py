@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 
+from creak.location.evidence import along, place_powers, take_out
 from creak.monitor import Monitor
 from creak.records import Excitation, Frame, Node, Rig, Run
 
@@ -24,6 +25,10 @@ def prepare() -> None:
             for c in range(rig.q):
                 for p in range(run.periods):
                     monitor.take(Frame(m, c, p, 0, rng.standard_normal((2, 32)), rng.standard_normal((2, 32))))
+    one = np.ones((1, 1, 1), dtype=np.complex128)  # only what distorts is located
+    take_out(one, one.copy(), 0, 1)
+    place_powers(one, np.empty((1, 1)))
+    along(one, ((0, 1),))
 
 
 def _node(name: str) -> Node:

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.special
+from numpy.typing import NDArray
 
+from creak.compiling import vectorised
 from creak.records import Complex, Real
 from creak.statistics import Sums
 
@@ -89,29 +91,18 @@ class Evidence:
         """Take the forces of these elements out."""
         if not edges:
             return self
-        A = incidence(edges, self.nodes)
-        JA = self.J @ A
-        small = A.T @ JA
-        taken = np.linalg.solve(small, _adjoint(JA))  # (A^T J A)^-1 A^T J
-        rest = np.eye(self.nodes) - JA @ (np.linalg.inv(small) @ A.T)
-        J = _hermitian(self.J - JA @ taken)
-        H = _hermitian(rest @ self.H @ _adjoint(rest))
+        J, H = self.J.copy(), self.H.copy()
+        for i, j in edges:
+            take_out(J, H, i, j)
         return Evidence(J, H, self.free, self.noise_free, self.size, self.leverage, self.taken + edges)
 
     def gains(self) -> tuple[tuple[Edge, ...], Real]:
         """Gain of every place that is left, over what noise alone gives: places, and ``(F, places)``."""
         n = self.nodes
         rows, columns = np.triu_indices(n, 1)
-        power, reference = (
-            np.concatenate(
-                (
-                    diagonal[:, rows] + diagonal[:, columns] - 2 * matrix[:, rows, columns].real,
-                    diagonal,
-                ),
-                axis=1,
-            )
-            for matrix, diagonal in ((M, np.einsum("fii->fi", M).real) for M in (self.H, self.J))
-        )
+        power, reference = (np.empty((len(self.J), rows.size + n)) for _ in range(2))
+        place_powers(self.H, power)
+        place_powers(self.J, reference)
         edges = [*zip(rows.tolist(), columns.tolist(), strict=True), *((i, n) for i in range(n))]
         # An edge that closes a circle with elements taken out has nothing left but rounding.
         part = {
@@ -124,9 +115,8 @@ class Evidence:
     def explained(self, edges: tuple[Edge, ...]) -> float:
         """Part of the whitened power above noise that these elements account for."""
         rest = self.without(edges)
-        A = incidence(edges, self.nodes)
         whole = np.einsum("fij,fji->f", np.linalg.inv(self.J), self.H).real.sum()
-        inside = np.einsum("fij,fji->f", np.linalg.inv(A.T @ self.J @ A), A.T @ self.H @ A).real.sum()
+        inside = np.einsum("fij,fji->f", np.linalg.inv(along(self.J, edges)), along(self.H, edges)).real.sum()
         floor, rest_floor = (
             len(self.J) * x.dimensions * x.noise_free / (x.noise_free - x.dimensions) for x in (self, rest)
         )
@@ -142,6 +132,85 @@ class Evidence:
         second = self.noise_free - self.dimensions + 1.0
         ratio = gains * second / (second - 1.0)
         return np.asarray(scipy.special.fdtrc(2.0 * self.free, 2.0 * second, ratio))
+
+
+@vectorised
+def take_out(J: Complex, H: Complex, i: int, j: int) -> None:
+    """Take the force of one element out: ``J - p p^H / s`` with ``p = J a``, ``s = a^H J a``, and H likewise.
+
+    One after another is the same as together: each leaves nothing of the evidence along its own vector a.
+
+    Parameters
+    ----------
+    J, H : array, (F, n, n)
+        Hermitian; changed in place.
+    i, j : int
+        Nodes of the element; j = n is the ground.
+    """
+    F, n, _ = J.shape
+    p, b = np.empty(n, dtype=np.complex128), np.empty(n, dtype=np.complex128)
+    for f in range(F):
+        for k in range(n):
+            p[k] = J[f, k, i]
+            b[k] = H[f, k, i]
+        if j < n:
+            for k in range(n):
+                p[k] -= J[f, k, j]
+                b[k] -= H[f, k, j]
+        own, power = p[i].real, b[i].real
+        if j < n:
+            own -= p[j].real
+            power -= b[j].real
+        # (I - p a^H / s) H (I - a p^H / s) = H - p c^H - c p^H with c = (b - p (a^H H a) / 2s) / s
+        inverse = 1.0 / own
+        for k in range(n):
+            b[k] = (b[k] - p[k] * (0.5 * power * inverse)) * inverse
+        for k in range(n):
+            x = p[k] * inverse
+            for m in range(k):
+                J[f, k, m] -= x * p[m].conjugate()
+                H[f, k, m] -= p[k] * b[m].conjugate() + b[k] * p[m].conjugate()
+                J[f, m, k] = J[f, k, m].conjugate()
+                H[f, m, k] = H[f, k, m].conjugate()
+            J[f, k, k] = J[f, k, k].real - (p[k].real ** 2 + p[k].imag ** 2) * inverse
+            H[f, k, k] = H[f, k, k].real - 2.0 * (p[k].real * b[k].real + p[k].imag * b[k].imag)
+
+
+@vectorised
+def place_powers(matrices: Complex, powers: Real) -> None:
+    """``a^T M a`` of every place, ``(F, n, n)`` to ``(F, n (n + 1) / 2)``: pairs of nodes, then grounds."""
+    F, n, _ = matrices.shape
+    for f in range(F):
+        place = 0
+        for i in range(n):
+            for j in range(i + 1, n):
+                powers[f, place] = matrices[f, i, i].real + matrices[f, j, j].real - 2.0 * matrices[f, i, j].real
+                place += 1
+        for i in range(n):
+            powers[f, place + i] = matrices[f, i, i].real
+
+
+def along(matrix: Complex, edges: tuple[Edge, ...]) -> Complex:
+    """``A^T M A`` with the incidence vectors as columns of A, ``(F, edges, edges)``."""
+    powers = np.empty((len(matrix), len(edges), len(edges)), dtype=np.complex128)
+    forces_along(matrix, np.array(edges), powers)
+    return powers
+
+
+@vectorised
+def forces_along(matrices: Complex, edges: NDArray[np.int64], powers: Complex) -> None:
+    """``A^T M A``, ``(F, n, n)`` to ``(F, edges, edges)``; edges are pairs of nodes, of which n is the ground."""
+    F, n, _ = matrices.shape
+    for f in range(F):
+        for k in range(len(edges)):
+            for m in range(len(edges)):
+                total = 0.0j
+                for a in range(2):
+                    for b in range(2):
+                        i, j = edges[k, a], edges[m, b]
+                        if i < n and j < n:
+                            total += matrices[f, i, j] if a == b else -matrices[f, i, j]
+                powers[f, k, m] = total
 
 
 def parts_of(edges: tuple[Edge, ...]) -> list[tuple[Edge, ...]]:

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import scipy.special
 
-from creak.location.evidence import Edge, Evidence, incidence, parts_of
+from creak.location.evidence import Edge, Evidence, along, incidence, parts_of
 from creak.records import Complex, ElementShare, Real, Rig
 from creak.statistics import Sums
 
@@ -207,9 +207,8 @@ def _powers(evidence: Evidence, edges: tuple[Edge, ...], others: tuple[Edge, ...
 
 def _covariance(evidence: Evidence, edges: tuple[Edge, ...]) -> tuple[Complex, Complex]:
     """Covariance of the elements' forces, and of its noise, by weighted least squares; ``(F, edges, edges)``."""
-    A = incidence(edges, evidence.nodes)
-    spread = np.linalg.inv(A.T @ evidence.J @ A)
-    return np.asarray(spread @ (A.T @ evidence.H @ A) @ spread), np.asarray(spread)
+    spread = np.linalg.inv(along(evidence.J, edges))
+    return np.asarray(spread @ along(evidence.H, edges) @ spread), np.asarray(spread)
 
 
 def _shares(evidence: Evidence, edges: tuple[Edge, ...]) -> Real:
