@@ -53,11 +53,23 @@ class Search:
         self._stage = ("", 0.0, 0.0)
 
     def run(self) -> Searched:
-        """Search, and leave out of what was found each effect without which the rest explains as much."""
+        """Search, and leave out of what was found each effect without which the rest explains as much.
+
+        Noise that is known from lines which are not excited holds what distortion lies there, so that less than
+        the whole seems to be enough; every effect that pays for itself is taken then.
+        """
         searched = self._stages()
         if not searched.explained:
             return searched
-        return replace(searched, ranked=(*self._without_idle(searched.ranked[0]), *searched.ranked))
+        ranked = (*self._without_idle(searched.ranked[0]), *searched.ranked)
+        if self.setting.data.periods == 1:
+            ranked = (*self._larger(ranked[0]), *ranked)
+        return replace(searched, ranked=ranked)
+
+    def _larger(self, best: Ranked) -> tuple[Ranked, ...]:
+        """Hypotheses with further effects, each better than the one before, the largest first."""
+        self.report("further effects", 0.83)
+        return tuple(Ranked(refined, self.score(refined)) for refined in reversed(grown(self, best)))
 
     def _without_idle(self, best: Ranked) -> tuple[Ranked, ...]:
         """Hypothesis without its idle effects; nothing if every one matters."""
@@ -121,9 +133,7 @@ class Search:
         elif placed and placed[0][0] < 0.5 * places[0][0]:
             places = placed
         if every and not self.explains(every[0].refined):
-            self.report("further effects", 0.83)
-            larger = [Ranked(refined, self.score(refined)) for refined in grown(self, every[0])]
-            every = (*reversed(larger), *every)
+            every = (*self._larger(every[0]), *every)
         return Searched(every, bool(every) and self.explains(every[0].refined), places)
 
     def explains(self, refined: Refined) -> bool:
