@@ -17,6 +17,7 @@ def data_of(name):
     return bench_real_data.DATA.absolute()
 
 
+@pytest.mark.timeout(1200)  # minutes of a processor, and it may share it
 def test_the_silverbox_is_simulated_better_than_by_a_black_box(tmp_path):
     """From the best linear model to less than 0.44 % on five realisations that no fit has seen; both springs named."""
     found = bench_real_data.silverbox(data_of("silverbox"), tmp_path)
