@@ -76,7 +76,7 @@ def test_a_structure_must_not_vanish():
 
 
 def from_the_best_linear_model(truth, noise_db):
-    """Diagnose six realisations of one period; the model is a fit to the mean response, an offset is in the data."""
+    """Diagnose six realisations of one period, an offset in them; the model is a fit to the mean response."""
     u = np.concatenate([realisation(ODD, 40.0, 3, m) for m in range(6)])
     y = simulate_steady(assemble(truth, ODD), u, ODD.sample_rate, ODD.hold).y
     rng = np.random.default_rng(2)
@@ -106,7 +106,7 @@ def test_two_effects_at_one_mass_beside_a_linear_part_that_is_off():
 
 
 def test_even_distortion_that_passes_for_noise_is_still_named():
-    """Kills a search that ends where noise seems to be reached: the even lines, which tell it, hold the small law."""
+    """Kills a search that ends where noise seems to be reached: the even lines that tell it hold the law."""
     springs = (CubicStiffness(("1", GROUND), 5e8), QuadraticStiffness(("1", GROUND), 8e5))
     found = from_the_best_linear_model(replace(TRUTH, effects=springs), -60)
     causes = {cause.effect: cause for cause in found.causes}

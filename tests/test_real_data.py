@@ -19,7 +19,7 @@ def data_of(name):
 
 @pytest.mark.timeout(1200)  # minutes of a processor, and it may share it
 def test_the_silverbox_is_simulated_better_than_by_a_black_box(tmp_path):
-    """From the best linear model to less than 0.44 % on five realisations that no fit has seen; both springs named."""
+    """From the best linear model to less than 0.44 % on realisations that no fit has seen; both springs named."""
     found = bench_real_data.silverbox(data_of("silverbox"), tmp_path)
     assert found["causes"][0] == "cubic_stiffness at 1-ground"
     assert "quadratic_stiffness at 1-ground" in found["causes"]

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from creak.location import locate
 from creak.records import Complex, ElementShare, Estimate, NodeLevel, Real, Rig, Scope, Spectra
-from creak.residuals import POWERS, edge_rows, lines_last, pulls, residual_powers
+from creak.residuals import POWERS, lines_last, residual_powers
+from creak.rows import edge_rows, pulls
 from creak.significance import line_p_values, pooled_p_value, q_values
 from creak.statistics import Sums
 
