@@ -14,10 +14,10 @@ def quiet_variance(rig: Rig, Y: Complex) -> tuple[Real, float]:
 
     Distortion lies on such lines as well. Of an odd grid the even lines are taken, which odd distortion leaves
     free; what even distortion there is counts as noise. What a model lacks does not follow the noise over the
-    lines, so that lines of little noise must not decide alone: each variance lies halfway to the mean of all, which
-    leaves the whole what it is. (On the Silverbox, leaving one training realisation out at a time, less than a half
-    costs, more gains nothing.) The mean of a response is not trusted at all: one period does not tell it from an
-    offset.
+    lines, so that lines of little noise must not decide alone: each variance lies halfway to the mean of all,
+    which leaves the whole what it is. (On the Silverbox, leaving one training realisation out at a time, less than
+    a half costs, more gains nothing.) The mean of a response is not trusted at all: one period does not tell it
+    from an offset.
 
     Parameters
     ----------
