@@ -157,6 +157,6 @@ def measure(repetitions, recordings, realisations, cases):
 
 
 if __name__ == "__main__":
-    given = options(__doc__.splitlines()[0], repetitions=9, recordings=12, realisations=4, cases=0)
+    given = options(__doc__.splitlines()[0], repetitions=9, recordings=12, realisations=20, cases=0)
     rows = measure(given.repetitions, given.recordings, given.realisations, given.cases)
     show("one and two workers", rows, given.json)
