@@ -37,13 +37,13 @@ def _run(folder, *words):
     return done.stdout
 
 
-def silverbox(data, folder):
-    """Diagnose five realisations from their best linear model, and simulate the other five."""
+def silverbox(data, folder, *sample):
+    """Diagnose five realisations, or those that options name, from the best linear model; simulate five others."""
     page = EXAMPLES / "silverbox"
     _run(folder, page / "prepare.py", data / "silverbox" / "SNLS80mV.mat")
     for name in ("train", "test"):
         creak(folder, "import", f"{name}.npz", "--rig", page / "rig.toml", "--output", f"{name}.mcap")
-    words = ("diagnose", "train.mcap", "--model", "linear.toml", "--validate", "test.mcap", "--json")
+    words = ("diagnose", "train.mcap", "--model", "linear.toml", "--validate", "test.mcap", "--json", *sample)
     answer = json.loads(creak(folder, *words))
     unseen = answer["validation"]["nodes"][0]
     return {
