@@ -21,7 +21,7 @@ from creak.records import Real
 
 _FAILED = 2.0  # whitened power beyond which a law has not explained a place, and a hidden mode is tried there
 _MEANS = 8  # turns in which an even law and the mean that it makes are found
-_ONCE = 5  # pairs of laws that are given one turn, for every one that is given more
+_ONCE = 12  # pairs of laws that are given one turn, for every one that is given more
 _TURNS = 4  # at most
 _SMALL = 6  # experiments on which inner parameters are searched
 
