@@ -40,7 +40,7 @@ VARIABLES = {
 
 
 def tool(*names):
-    """Path of a program that is not ours; the packages of Debian that bring it are prometheus and systemd."""
+    """Path of a program that is not ours; Debian's packages that bring it are prometheus, podman and systemd."""
     for name in names:
         found = shutil.which(name) or shutil.which(name, path=str(Path(sys.executable).parent))
         if found:
@@ -198,6 +198,7 @@ def test_dashboards_use_the_data_sources_that_are_provisioned():
 
 
 def test_the_compose_file_is_one(tmp_path):
+    tool("podman", "docker")  # without which neither of the two says anything
     compose = tool("podman-compose", "docker-compose")
     seen = yaml.safe_load(checked(compose, "--file", ROOT / "docker-compose.yml", "config", cwd=ROOT))
     assert seen["services"].keys() == COMPOSE["services"].keys()

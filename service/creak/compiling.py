@@ -1,22 +1,23 @@
 """How the inner loops are compiled, and when their compiled code is out of date."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from types import ModuleType
 from typing import Any, Final, TypeVar, cast
 
 import numba
+from numba.core.dispatcher import Dispatcher
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-_stamps: Final[dict[str, list[object]]] = {}
+_stamps: Final[dict[Any, set[object]]] = {}  # of each compiled function: its file's and those of all that it calls
 
 
 def compiled(function: _Function) -> _Function:
     """Compile on first use, cache the result on disk, and release the interpreter lock while running.
 
-    numba takes cached code for valid as long as the function's own file is unchanged, but that code also
-    holds the compiled functions that it calls. So it is stamped here with the files of all functions of its
-    package compiled before it, among which its callees must be; those of other packages may or may not have been
-    imported by then. Where there is nowhere to write, nothing is cached.
+    numba takes cached code for valid as long as the function's own file is unchanged, but that code also holds the
+    compiled functions that it calls. So it is stamped here with their files, too; with no others, or commands that
+    import in another order would compile again what is there. Where there is nowhere to write, nothing is cached.
     """
     return _compiled(function)
 
@@ -38,8 +39,17 @@ def _compiled(function: _Function, **options: Any) -> _Function:
     except RuntimeError:
         return cast(_Function, numba.njit(function, **options))
     index = dispatcher._cache._cache_file
-    stamps = _stamps.setdefault(function.__module__.rpartition(".")[0], [])
-    if index._source_stamp not in stamps:
-        stamps.append(index._source_stamp)
-    index._source_stamp = tuple(stamps)
+    stamps = {index._source_stamp}.union(*(_stamps[callee] for callee in _called(function)))
+    _stamps[dispatcher] = stamps
+    index._source_stamp = tuple(sorted(stamps))
     return cast(_Function, dispatcher)
+
+
+def _called(function: Callable[..., Any]) -> Iterator[Any]:
+    """Compiled functions that a function names, in its module or as an attribute of a module there."""
+    names = function.__code__.co_names
+    for name in names:
+        value = function.__globals__.get(name)
+        for found in (vars(value).get(name) for name in names) if isinstance(value, ModuleType) else (value,):
+            if isinstance(found, Dispatcher) and found in _stamps:
+                yield found

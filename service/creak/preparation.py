@@ -10,21 +10,25 @@ from creak.records import Excitation, Frame, Node, Rig, Run
 
 
 @cache
-def prepare() -> None:
-    """Let monitors judge a small made-up rig, dense and with given edges.
+def prepare(*, edges: bool = False) -> None:
+    """Let a monitor judge a small made-up rig, so that all of its loops are compiled, or read from the cache.
 
-    So all of their loops are compiled, or read from the cache. The first time on a machine that takes some ten
-    seconds, later a fraction of one; a second call does nothing.
+    The first time on a machine that takes some fifteen seconds, later a fraction of one; a second call nothing.
+
+    Parameters
+    ----------
+    edges : bool
+        Whether the rig's network is given; a dense one takes other loops.
     """
-    for network in (None, (("1", "2"),)):
-        rig = Rig("none", 1.0, 32, 1, tuple(range(1, 16, 2)), (_node("1"), _node("2")), network=network)
-        run = Run("none", rig, 2, 0, Excitation("measured"), "simulated", window=1)
-        monitor = Monitor(run)
-        rng = np.random.default_rng(0)
-        for m in range(3):
-            for c in range(rig.q):
-                for p in range(run.periods):
-                    monitor.take(Frame(m, c, p, 0, rng.standard_normal((2, 32)), rng.standard_normal((2, 32))))
+    network = (("1", "2"),) if edges else None
+    rig = Rig("none", 1.0, 32, 1, tuple(range(1, 16, 2)), (_node("1"), _node("2")), network=network)
+    run = Run("none", rig, 2, 0, Excitation("measured"), "simulated", window=1)
+    monitor = Monitor(run)
+    rng = np.random.default_rng(0)
+    for m in range(3):
+        for c in range(rig.q):
+            for p in range(run.periods):
+                monitor.take(Frame(m, c, p, 0, rng.standard_normal((2, 32)), rng.standard_normal((2, 32))))
     one = np.ones((1, 1, 1), dtype=np.complex128)  # only what distorts is located
     take_out(one, one.copy(), 0, 1)
     place_powers(one, np.empty((1, 1)))

@@ -53,7 +53,7 @@ class _Path:
         memory: Memory | None = None,
         gatherer: Gatherer | None = None,
     ) -> None:
-        prepare()
+        prepare(edges=source.run.rig.network is not None)
         if memory is not None:  # what a run begins with belongs to its recording, or a replay would differ
             source.run = replace(source.run, before=memory_bytes(memory))
         elif source.run.before:

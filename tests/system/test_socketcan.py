@@ -43,6 +43,10 @@ def test_sender_and_service_over_the_kernels_socketcan():
         pytest.skip(message)
     cache = Path(os.environ.get("CREAK_CANVM", tempfile.gettempdir())) / "creak-canvm"
     environment = {"PYTHONPATH": os.environ.get("PYTHONPATH", str(ROOT / "service"))}
+    # An emulated processor takes minutes to compile the monitor's loops, so they are compiled here, for any one.
+    environment |= {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(cache / "compiled")}
+    compiling = [sys.executable, "-c", "from creak.preparation import prepare; prepare()"]
+    subprocess.run(compiling, env=os.environ | environment, check=True)
     before = os.getcwd()
     os.chdir(ROOT)
     try:
