@@ -13,7 +13,7 @@ from creak.records import Excitation, Frame, Node, Rig, Run
 def prepare(*, edges: bool = False) -> None:
     """Let a monitor judge a small made-up rig, so that all of its loops are compiled, or read from the cache.
 
-    The first time on a machine that takes some fifteen seconds, later a fraction of one; a second call nothing.
+    The first time on a machine that takes fifteen seconds or more, later a fraction of one; a second call nothing.
 
     Parameters
     ----------
