@@ -10,7 +10,8 @@ import numpy as np
 from creak.compiling import vectorised
 from creak.records import Complex, Real
 
-_TILE = 64  # lines that are worked on together
+TILE = 64
+"""Lines that are worked on together."""
 
 
 @vectorised
@@ -28,6 +29,51 @@ def unpack(packed: Real, matrices: Complex) -> None:
 
 
 @vectorised
+def load(packed: Real, q: int, first: int, m: int, real: Real, imag: Real) -> None:
+    """Lower half of a tile of moments, and the upper half of the inputs'."""
+    for i in range(len(real)):
+        for j in range(i):
+            row = i * i + 2 * j
+            for t in range(m):
+                real[i, j, t] = packed[row, first + t]
+                imag[i, j, t] = packed[row + 1, first + t]
+        for t in range(m):
+            real[i, i, t] = packed[i * i + 2 * i, first + t]
+    for i in range(q):
+        for j in range(i):
+            for t in range(m):
+                real[j, i, t] = real[i, j, t]
+                imag[j, i, t] = -imag[i, j, t]
+
+
+@vectorised
+def shear_tile(D_real: Real, D_imag: Real, real: Real, imag: Real) -> None:
+    """Moments of ``[U; R + D U]`` in the place of those of ``[U; R]``, one tile, in the lower half."""
+    n, q = D_real.shape[:2]
+    for i in range(n):  # R R^H first needs the old R U^H: + D (U R^H)
+        for j in range(i + 1):
+            for k in range(q):
+                for t in range(TILE):
+                    a, b, c, d = D_real[i, k, t], D_imag[i, k, t], real[q + j, k, t], imag[q + j, k, t]
+                    real[q + i, q + j, t] += a * c + b * d
+                    imag[q + i, q + j, t] += b * c - a * d
+    for i in range(n):  # R U^H + D U U^H
+        for j in range(q):
+            for k in range(q):
+                for t in range(TILE):
+                    a, b, c, d = D_real[i, k, t], D_imag[i, k, t], real[k, j, t], imag[k, j, t]
+                    real[q + i, j, t] += a * c - b * d
+                    imag[q + i, j, t] += a * d + b * c
+    for i in range(n):  # and with the new one: + (R U^H) D^H
+        for j in range(i + 1):
+            for k in range(q):
+                for t in range(TILE):
+                    a, b, c, d = real[q + i, k, t], imag[q + i, k, t], D_real[j, k, t], D_imag[j, k, t]
+                    real[q + i, q + j, t] += a * c + b * d
+                    imag[q + i, q + j, t] += b * c - a * d
+
+
+@vectorised
 def shear(packed: Real, D: Complex, sheared: Real) -> None:
     """``T A T^H`` with ``T = [I 0; D I]``: moments of ``[U; R + D U]`` from those of ``[U; R]``.
 
@@ -40,49 +86,17 @@ def shear(packed: Real, D: Complex, sheared: Real) -> None:
     """
     n, q, F = D.shape
     w = n + q
-    real, imag = np.zeros((w, w, _TILE)), np.zeros((w, w, _TILE))
-    D_real, D_imag = np.zeros((n, q, _TILE)), np.zeros((n, q, _TILE))
-    for first in range(0, F, _TILE):
-        m = min(_TILE, F - first)
-        for i in range(w):
-            for j in range(i):
-                row = i * i + 2 * j
-                for t in range(m):
-                    real[i, j, t] = packed[row, first + t]
-                    imag[i, j, t] = packed[row + 1, first + t]
-            for t in range(m):
-                real[i, i, t] = packed[i * i + 2 * i, first + t]
-        for i in range(q):
-            for j in range(i):
-                for t in range(m):
-                    real[j, i, t] = real[i, j, t]
-                    imag[j, i, t] = -imag[i, j, t]
+    real, imag = np.zeros((w, w, TILE)), np.zeros((w, w, TILE))
+    D_real, D_imag = np.zeros((n, q, TILE)), np.zeros((n, q, TILE))
+    for first in range(0, F, TILE):
+        m = min(TILE, F - first)
+        load(packed, q, first, m, real, imag)
         for i in range(n):
             for j in range(q):
                 for t in range(m):
                     D_real[i, j, t] = D[i, j, first + t].real
                     D_imag[i, j, t] = D[i, j, first + t].imag
-        for i in range(n):  # R R^H first needs the old R U^H: + D (U R^H)
-            for j in range(i + 1):
-                for k in range(q):
-                    for t in range(_TILE):
-                        a, b, c, d = D_real[i, k, t], D_imag[i, k, t], real[q + j, k, t], imag[q + j, k, t]
-                        real[q + i, q + j, t] += a * c + b * d
-                        imag[q + i, q + j, t] += b * c - a * d
-        for i in range(n):  # R U^H + D U U^H
-            for k in range(q):
-                for j in range(q):
-                    for t in range(_TILE):
-                        a, b, c, d = D_real[i, k, t], D_imag[i, k, t], real[k, j, t], imag[k, j, t]
-                        real[q + i, j, t] += a * c - b * d
-                        imag[q + i, j, t] += a * d + b * c
-        for i in range(n):  # and with the new one: + (R U^H) D^H
-            for j in range(i + 1):
-                for k in range(q):
-                    for t in range(_TILE):
-                        a, b, c, d = real[q + i, k, t], imag[q + i, k, t], D_real[j, k, t], D_imag[j, k, t]
-                        real[q + i, q + j, t] += a * c + b * d
-                        imag[q + i, q + j, t] += b * c - a * d
+        shear_tile(D_real, D_imag, real, imag)
         for i in range(w):
             for j in range(i):
                 row = i * i + 2 * j
@@ -122,19 +136,19 @@ def quadratic_forms(forms: Complex, packed: Real, powers: Real) -> None:
         Result.
     """
     rows, w, F = forms.shape
-    real, imag = np.zeros((w, _TILE)), np.zeros((w, _TILE))
-    total, a, b = np.zeros(_TILE), np.zeros(_TILE), np.zeros(_TILE)
-    for first in range(0, F, _TILE):
-        m = min(_TILE, F - first)
+    real, imag = np.zeros((w, TILE)), np.zeros((w, TILE))
+    total, a, b = np.zeros(TILE), np.zeros(TILE), np.zeros(TILE)
+    for first in range(0, F, TILE):
+        m = min(TILE, F - first)
         for row in range(rows):
             for i in range(w):
                 for t in range(m):
                     real[i, t] = forms[row, i, first + t].real
                     imag[i, t] = forms[row, i, first + t].imag
-            for t in range(_TILE):
+            for t in range(TILE):
                 total[t] = 0.0
             for i in range(w):  # |g_i|^2 A_ii + 2 Re conj(g_i) sum_(j < i) conj(A_ij) g_j
-                for t in range(_TILE):
+                for t in range(TILE):
                     a[t] = 0.0
                     b[t] = 0.0
                 for j in range(i):

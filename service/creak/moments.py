@@ -8,9 +8,8 @@ lines at once. Hermitian matrices are packed as :mod:`creak.hermitian` has them.
 import numpy as np
 
 from creak.compiling import compiled, vectorised
+from creak.hermitian import TILE
 from creak.records import Complex, Real
-
-_TILE = 64  # lines that are worked on together
 
 
 @vectorised
@@ -32,11 +31,11 @@ def responses(spectra: Complex, q: int, S: Complex, condition: Real) -> None:
     P = spectra.shape[1]
     n, _, F = S.shape
     w = q + n
-    real, imag = np.zeros((q, w, _TILE)), np.zeros((q, w, _TILE))  # a row an experiment: sum_i U_i S_ji = Y_j
-    size, bound, larger = np.zeros(_TILE), np.zeros(_TILE), np.zeros(_TILE)
-    inverse_real, inverse_imag = np.zeros(_TILE), np.zeros(_TILE)
-    for first in range(0, F, _TILE):
-        m = min(_TILE, F - first)
+    real, imag = np.zeros((q, w, TILE)), np.zeros((q, w, TILE))  # a row an experiment: sum_i U_i S_ji = Y_j
+    size, bound, larger = np.zeros(TILE), np.zeros(TILE), np.zeros(TILE)
+    inverse_real, inverse_imag = np.zeros(TILE), np.zeros(TILE)
+    for first in range(0, F, TILE):
+        m = min(TILE, F - first)
         for e in range(q):
             for i in range(w):
                 for t in range(m):
@@ -124,12 +123,12 @@ def line_powers(spectra: Complex, mean: Real, within: Real) -> None:
 @vectorised
 def _product(real: Real, imag: Real, start: int, stop: int, i: int, j: int, a: Real, b: Real) -> None:
     """``sum v_i conj(v_j)`` over some rows of a tile, ``(rows, w, tile)``; three rows at a time spare stores."""
-    for t in range(_TILE):
+    for t in range(TILE):
         a[t] = 0.0
         b[t] = 0.0
     threes = stop - (stop - start) % 3
     for r in range(start, threes, 3):
-        for t in range(_TILE):
+        for t in range(TILE):
             a[t] += (
                 (real[r, i, t] * real[r, j, t] + imag[r, i, t] * imag[r, j, t])
                 + (real[r + 1, i, t] * real[r + 1, j, t] + imag[r + 1, i, t] * imag[r + 1, j, t])
@@ -141,7 +140,7 @@ def _product(real: Real, imag: Real, start: int, stop: int, i: int, j: int, a: R
                 + (imag[r + 2, i, t] * real[r + 2, j, t] - real[r + 2, i, t] * imag[r + 2, j, t])
             )
     for r in range(threes, stop):
-        for t in range(_TILE):
+        for t in range(TILE):
             a[t] += real[r, i, t] * real[r, j, t] + imag[r, i, t] * imag[r, j, t]
             b[t] += imag[r, i, t] * real[r, j, t] - real[r, i, t] * imag[r, j, t]
 
@@ -176,13 +175,13 @@ def residual_moments(spectra: Complex, S: Complex, between: Real, within: Real, 
     E, P, w, F = spectra.shape
     n, q = S.shape[:2]
     apart, means, sums = E * (P - 1), E, P  # rows of V: deviations, means, sums of the periods
-    real = np.zeros((apart + means + sums, w, _TILE))
-    imag = np.zeros((apart + means + sums, w, _TILE))
-    S_real, S_imag = np.zeros((n, q, _TILE)), np.zeros((n, q, _TILE))
-    a, b = np.zeros(_TILE), np.zeros(_TILE)
+    real = np.zeros((apart + means + sums, w, TILE))
+    imag = np.zeros((apart + means + sums, w, TILE))
+    S_real, S_imag = np.zeros((n, q, TILE)), np.zeros((n, q, TILE))
+    a, b = np.zeros(TILE), np.zeros(TILE)
     root = np.sqrt(float(P))
-    for first in range(0, F, _TILE):
-        m = min(_TILE, F - first)
+    for first in range(0, F, TILE):
+        m = min(TILE, F - first)
         real[apart + means :] = 0.0
         imag[apart + means :] = 0.0
         for e in range(E):
@@ -217,7 +216,7 @@ def residual_moments(spectra: Complex, S: Complex, between: Real, within: Real, 
         for row in range(apart + means + sums):
             for i in range(n):
                 for j in range(q):
-                    for t in range(_TILE):
+                    for t in range(TILE):
                         real[row, q + i, t] -= (
                             S_real[i, j, t] * real[row, j, t] - S_imag[i, j, t] * imag[row, j, t]
                         )

@@ -8,10 +8,8 @@ written: what an estimate needs of a line is worked out while its moments are at
 import numpy as np
 
 from creak.compiling import vectorised
+from creak.hermitian import TILE, load, shear_tile
 from creak.records import Complex, Real
-
-TILE = 64
-"""Lines that are worked on together."""
 
 POWERS = 7
 """Powers that :func:`residual_powers` gives, in its order."""
@@ -75,7 +73,7 @@ def residual_powers(
                         g_imag[i, j, t] = misfit[i, j, first + t].imag
         for kind in range(2):
             load(between if kind == 0 else within, q, first, m, real, imag)
-            _shear(D_real, D_imag, real, imag)
+            shear_tile(D_real, D_imag, real, imag)
             for i in range(n):
                 _moved(S_real[i], S_imag[i], real, imag, q + i, total, a, b)
                 if kind == 0:
@@ -117,51 +115,6 @@ def residual_powers(
                             b[t] += g_real[i, j, t] * v_imag[j, t] + g_imag[i, j, t] * v_real[j, t]
                     for t in range(m):
                         powers[6, i, first + t] += a[t] * a[t] + b[t] * b[t]
-
-
-@vectorised
-def load(packed: Real, q: int, first: int, m: int, real: Real, imag: Real) -> None:
-    """Lower half of a tile of moments, and the upper half of the inputs'."""
-    for i in range(len(real)):
-        for j in range(i):
-            row = i * i + 2 * j
-            for t in range(m):
-                real[i, j, t] = packed[row, first + t]
-                imag[i, j, t] = packed[row + 1, first + t]
-        for t in range(m):
-            real[i, i, t] = packed[i * i + 2 * i, first + t]
-    for i in range(q):
-        for j in range(i):
-            for t in range(m):
-                real[j, i, t] = real[i, j, t]
-                imag[j, i, t] = -imag[i, j, t]
-
-
-@vectorised
-def _shear(D_real: Real, D_imag: Real, real: Real, imag: Real) -> None:
-    """Moments of ``[U; R + D U]`` in the place of those of ``[U; R]``, one tile, in the lower half."""
-    n, q = D_real.shape[:2]
-    for i in range(n):  # R R^H first needs the old R U^H: + D (U R^H)
-        for j in range(i + 1):
-            for k in range(q):
-                for t in range(TILE):
-                    a, b, c, d = D_real[i, k, t], D_imag[i, k, t], real[q + j, k, t], imag[q + j, k, t]
-                    real[q + i, q + j, t] += a * c + b * d
-                    imag[q + i, q + j, t] += b * c - a * d
-    for i in range(n):  # R U^H + D U U^H
-        for j in range(q):
-            for k in range(q):
-                for t in range(TILE):
-                    a, b, c, d = D_real[i, k, t], D_imag[i, k, t], real[k, j, t], imag[k, j, t]
-                    real[q + i, j, t] += a * c - b * d
-                    imag[q + i, j, t] += a * d + b * c
-    for i in range(n):  # and with the new one: + (R U^H) D^H
-        for j in range(i + 1):
-            for k in range(q):
-                for t in range(TILE):
-                    a, b, c, d = real[q + i, k, t], imag[q + i, k, t], D_real[j, k, t], D_imag[j, k, t]
-                    real[q + i, q + j, t] += a * c + b * d
-                    imag[q + i, q + j, t] += b * c - a * d
 
 
 @vectorised

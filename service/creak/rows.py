@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from creak.compiling import vectorised
+from creak.hermitian import TILE, load
 from creak.records import Complex, Real
-from creak.residuals import TILE, decompose, load
+from creak.residuals import decompose
 
 _DEPENDENT = 1e-15  # part of a row that is left of it beside others, below which it is rounding
 
