@@ -1,6 +1,7 @@
 """Recordings as a source: the same frames, bit for bit, as far as the file is whole."""
 
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -31,7 +32,8 @@ _REPORTED = {
 _OF_SAMPLES = {FaultKind.DOUBLED, FaultKind.LATE, FaultKind.OUT_OF_PLAN}  # reported if they name no period
 
 _Recorded = Frame | Fault | Estimate | AlarmChange
-_RECORDED = {"Frame", "Fault", "Estimate", "AlarmChange"}
+_RECORDED = frozenset({"Frame", "Fault", "Estimate", "AlarmChange"})
+_REPLAYED = _RECORDED - {"Estimate"}
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ class Recording:
         An alarm may change while no frame comes, because it is overdue or somebody acknowledges it: a replay
         knows that only from the change itself.
         """
-        for record in self._pass():
+        for record in self._pass(_REPLAYED):
             if isinstance(record, Frame):
                 yield replace(record, status=FrameStatus.ACCEPTED, reason="")
             elif isinstance(record, _Damage):
@@ -118,7 +120,7 @@ class Recording:
 
     def recorded(self) -> Iterator[Frame | Fault | Estimate | AlarmChange]:
         """Yield everything as it was recorded: frames as judged, all faults, estimates and alarm changes."""
-        for record in self._pass():
+        for record in self._pass(_RECORDED):
             if not isinstance(record, _Damage):
                 yield record
 
@@ -133,19 +135,20 @@ class Recording:
         self.end: RunEnd | None = None
         self._time = self.run.start
 
-    def _pass(self) -> Iterator[_Recorded | _Damage]:
+    def _pass(self, wanted: AbstractSet[str]) -> Iterator[_Recorded | _Damage]:
+        """Decode the messages that are wanted; to pass over an estimate with its spectra saves time."""
         self._reset()
         before: int | None = None
         for part in self._parts:
             if before is not None and part.number != before + 1:
                 yield self._lost(f"{part.path.name}: part {before + 1} of the recording is missing before it")
             before = part.number
-            for record in self._read(part):
+            for record in self._read(part, wanted):
                 if self._closed:
                     return
                 yield record
 
-    def _read(self, part: _Part) -> Iterator[_Recorded | _Damage]:
+    def _read(self, part: _Part, wanted: AbstractSet[str]) -> Iterator[_Recorded | _Damage]:
         closing: codec.Closing | None = None
         whole = False
         names = _Names()
@@ -163,7 +166,7 @@ class Recording:
                     name = names.of(item)
                     if name == "RunEnd":
                         closing = codec.decode_closing(item.data)
-                    elif name in _RECORDED:
+                    elif name in wanted:
                         record = cast("_Recorded", codec.decode(name, item.data))
                         if isinstance(record, Frame) and record.status is not FrameStatus.REJECTED:
                             self._time = max(self._time, record.time)
