@@ -1,4 +1,4 @@
-"""The monitor's inner loops, compiled before they are needed: a rig in operation does not wait for a compiler."""
+"""What a monitor needs of its process first: compiled loops, so that no rig in operation waits, and memory."""
 
 from functools import cache
 
@@ -20,6 +20,7 @@ def prepare(*, edges: bool = False) -> None:
     edges : bool
         Whether the rig's network is given; a dense one takes other loops.
     """
+    _keep_memory()
     network = (("1", "2"),) if edges else None
     rig = Rig("none", 1.0, 32, 1, tuple(range(1, 16, 2)), (_node("1"), _node("2")), network=network)
     run = Run("none", rig, 2, 0, Excitation("measured"), "simulated", window=1)
@@ -33,6 +34,16 @@ def prepare(*, edges: bool = False) -> None:
     take_out(one, one.copy(), 0, 1)
     place_powers(one, np.empty((1, 1)))
     along(one, ((0, 1),))
+
+
+def _keep_memory() -> None:
+    """Let the C library keep the memory of arrays that are given up for those that follow.
+
+    glibc hands it back to the system, which zeroes it anew for the next array, until an array as large as the
+    largest that its threshold can grow to, 32 MiB, has been given up (``mallopt(3)``, ``M_MMAP_THRESHOLD``). Other
+    libraries take no notice.
+    """
+    np.empty(2**25 - 2**16, dtype=np.uint8)
 
 
 def _node(name: str) -> Node:

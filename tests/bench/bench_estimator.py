@@ -22,6 +22,7 @@ from conftest import make_rig, make_run
 from creak.judgement import Block, judged
 from creak.monitor import Monitor
 from creak.multisine import realisation
+from creak.preparation import prepare
 from creak.realisations import Collector
 from creak.records import Frame, Scope
 from creak.window import Window
@@ -73,6 +74,7 @@ def seconds(work, frames):
 
 def main():
     given = options(__doc__, repetitions=7)
+    prepare()  # as every process with a monitor does
     rows = []
     for n, realisations in ((3, 13), (16, 9)):
         rig = make_rig(n, samples=N, lines=range(1, LINES + 1), transient=0)
