@@ -11,19 +11,20 @@ import pytest
 import typer
 
 from creak.cli import app, run
+from creak.cli.commands import loaded
 
 
-def commands(group, words=()):
+def commands(known, words=()):
     """Every command with the words that call it, those of its groups before it."""
-    for name, command in group.commands.items():
+    for name, command in known.items():
         if hasattr(command, "commands"):
-            yield from commands(command, (*words, name))
+            yield from commands(command.commands, (*words, name))
         else:
             yield (*words, name), command
 
 
-ROOT = typer.main.get_command(app)
-ALL = list(commands(ROOT))
+LISTED = typer.main.get_command(app).commands
+ALL = list(commands({name: loaded(name) for name in LISTED}))
 
 
 def examples(command):
@@ -48,6 +49,24 @@ def test_every_command_has_an_example_that_it_understands(words, command):
 def test_help_is_shown(words, capsys):
     assert run([*words, "--help"]) == 0
     assert "Usage" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", LISTED)
+def test_a_command_is_listed_with_the_first_paragraph_of_its_help(name):
+    """Kills a list that is not kept when a command changes."""
+    first = inspect.cleandoc(loaded(name).help).partition("\n\n")[0]
+    assert LISTED[name].help == " ".join(first.split())
+
+
+def test_the_list_is_shown_without_importing_what_the_commands_need():
+    """Help and completion are there at once; numba and the server's libraries take more than a second."""
+    program = (
+        "import sys; from creak.cli import run; code = run(['--help'])\n"
+        "sys.exit(code or sorted({'numpy', 'numba', 'scipy', 'fastapi', 'sqlalchemy'} & set(sys.modules)) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "diagnose" in done.stdout
 
 
 @pytest.fixture

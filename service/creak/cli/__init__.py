@@ -5,20 +5,7 @@ from collections.abc import Sequence
 
 import typer
 
-from creak.cli import (
-    bench,
-    configuration,
-    diagnose,
-    excitation,
-    export,
-    fleet,
-    keys,
-    paper,
-    recordings,
-    reference,
-    rig,
-    service,
-)
+from creak.cli.commands import Commands
 from creak.errors import CreakError, InputError
 
 # typer carries a click of its own and exports this one of its errors; what it derives from are all the others.
@@ -26,23 +13,16 @@ _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 
 app = typer.Typer(
     name="creak",
-    help="Hears where a structure stops being linear.",
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
-service.add_to(app)
-fleet.add_to(app)
-recordings.add_to(app)
-export.add_to(app)
-bench.add_to(app)
-paper.add_to(app)
-excitation.add_to(app)
-keys.add_to(app)
-configuration.add_to(app)
-rig.add_to(app)
-diagnose.add_to(app)
-reference.add_to(app)
+
+
+@app.callback()
+def creak() -> None:
+    """Hears where a structure stops being linear."""
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
