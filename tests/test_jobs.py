@@ -177,6 +177,23 @@ def test_a_job_that_fails_says_why(store, runner):
 
 
 @ON_A_FILE
+def test_a_job_that_the_machine_cannot_run_fails_and_the_next_one_runs(store, runner, tmp_path, monkeypatch):
+    """Kills a runner whose thread dies of a full disk: that job would be for ever running, all others waiting."""
+    sleeping(monkeypatch)
+    blocking = tmp_path / "jobs"  # where the runner wants its directory
+    blocking.write_text("")
+    runner()
+    job = ended(store, put(store))
+    assert (job["status"], job["reason"]) == ("failed", "it cannot be run here: File exists")
+    blocking.unlink()
+    second = put(store)
+    end = time.monotonic() + 10
+    while shown(store, second)["status"] != "running":
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@ON_A_FILE
 def test_a_running_job_is_cancelled_and_the_next_one_runs(store, runner, monkeypatch):
     sleeping(monkeypatch)
     runner()

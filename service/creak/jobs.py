@@ -74,11 +74,22 @@ class JobRunner:
                 if claimed is not None:
                     self._run(claimed)
                     self._forget()
-            except StorageError as error:  # the store may come back; a job that suffered by it becomes an orphan
-                _log.error("jobs: %s", error)
+            except Exception as error:  # noqa: BLE001 - a runner that dies would leave all that wait waiting
+                # The store may come back; a job that suffered by it becomes an orphan.
+                _log.error("jobs: %s", error, exc_info=None if isinstance(error, StorageError) else error)
                 self._stopping.wait(_BEAT_SECONDS)
 
     def _run(self, claimed: Claim) -> None:
+        """Run a job to its end, which is written; one that this machine cannot run has failed."""
+        try:
+            self._carry_out(claimed)
+        except StorageError:
+            raise
+        except OSError as error:  # a full disk, no memory for a process
+            reason = f"it cannot be run here: {error.strerror or error}"
+            jobs.finish(self._store, claimed.id, JobStatus.FAILED, time.time_ns(), reason=reason)
+
+    def _carry_out(self, claimed: Claim) -> None:
         self._directory.mkdir(parents=True, exist_ok=True)
         report = self._directory / f"{claimed.id}.html" if claimed.task.kind == "diagnosis" else None
         with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
