@@ -1,6 +1,7 @@
 """The recorder: what other tools read in its files, what a kill leaves, how it rotates, what a full disk does."""
 
 import contextlib
+import dataclasses
 import os
 import resource
 import signal
@@ -20,6 +21,7 @@ from creak.config.rig import parse_rig
 from creak.errors import StorageError
 from creak.records import AlarmChange, Estimate, Frame, Scope
 from creak.sinks.recorder import Recorder
+from creak.sinks.wholewrites import WholeWrites
 from creak.sources.recording import Recording
 from recorded import END, exact, records, run, write
 
@@ -238,6 +240,33 @@ def test_a_file_size_limit_stops_the_recording_likewise(tmp_path: Path) -> None:
         check_full(recorder, error, path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_disk_that_is_full_for_a_week_is_still_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a pause that doubles without end: 2^1024 is no number of seconds, and ended the monitoring."""
+    frames = [record for record in records(1) if isinstance(record, Frame)]
+    recorder = Recorder(tmp_path, max_bytes=10**9)
+    recorder.open(run())
+
+    def record(realisation: int, now: float) -> None:
+        recorder.tick(now)
+        recorder.take(dataclasses.replace(frames[0], realisation=realisation))
+        recorder.tick(now + 500.0)  # what waits in memory is written
+
+    with monkeypatch.context() as full:
+        full.setattr(
+            WholeWrites, "write", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device"))
+        )
+        for attempt in range(1100):
+            with pytest.raises(StorageError, match="No space left"):
+                record(attempt, 1000.0 * attempt)
+    record(1100, 1e7)
+    recorder.close(END)
+    assert len(recorder.paths) == 2
+    (kept,) = [r for r in Recording(recorder.paths[1]).recorded() if isinstance(r, Frame)]
+    assert kept.realisation == 1100
 
 
 @pytest.mark.parametrize(

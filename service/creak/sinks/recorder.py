@@ -37,8 +37,9 @@ _CHUNK_BYTES = 1 << 20
 # of 0.6 to read it.
 _COMPRESSION = CompressionType.NONE
 
-# All but that of attachments: there are none, and an index of nothing is an error by the specification.
 _LONGEST_RESUME_SECONDS = 600.0
+
+# All but that of attachments: there are none, and an index of nothing is an error by the specification.
 _INDEXES = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
 
 
@@ -103,8 +104,7 @@ class Recorder:
         self._flushed_at = float("-inf")
         self._now = 0.0  # of the last tick
         self._number = 1
-        self._failures = 0
-        self._resume_seconds = resume_seconds
+        self._resume_seconds = self._pause = resume_seconds  # the latter doubles with every failure
         self._resume_at = float("inf")
 
     @property
@@ -171,7 +171,7 @@ class Recorder:
         self._finish(part, codec.Closing(end, continues=True))
         self._number += 1
         self._begin(part.opening.run, self._number)
-        self._failures = 0  # a whole part: the disk is in order
+        self._pause = self._resume_seconds  # a whole part: the disk is in order
 
     def _resume(self) -> None:
         """Begin a new part after a failure, if it is time; one that cannot be written leaves nothing behind."""
@@ -221,8 +221,8 @@ class Recorder:
                 self.cut.add(self.path)
             happened = "cannot be written" if opened else "recording stopped; what is in it until then can be read"
             self.failure = StorageError(f"{opened or self.path}: {happened}: {error.strerror}")
-            self._resume_at = self._now + min(self._resume_seconds * 2**self._failures, _LONGEST_RESUME_SECONDS)
-            self._failures += 1
+            self._resume_at = self._now + self._pause
+            self._pause = min(2 * self._pause, _LONGEST_RESUME_SECONDS)
             raise self.failure from error
 
 
