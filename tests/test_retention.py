@@ -88,6 +88,21 @@ def test_budget_takes_the_oldest_recordings_and_never_the_one_that_is_written(st
         assert [r["id"] for r in queries.recordings(connection, None, None, 10).items] == ["r4", "r1"]
 
 
+def test_budget_takes_parts_of_a_recording_that_goes_on(store, tmp_path):
+    """Kills a recorder that stumbles over a part of its own that is gone, or lists it anew."""
+    opened(store, RUN)
+    recorder = CataloguedRecorder(Recorder(tmp_path, max_bytes=1), store)  # a part each realisation
+    recorder.open(RUN)
+    for m in range(4):
+        feed(recorder, RUN, 1, first=m)
+        keep_budget(store, 0)
+    recorder.close(RunEnd(START, RunStatus.COMPLETED, Counts()))
+    with store.read() as connection:
+        left = queries.recordings(connection, None, None, 10).items
+    assert [(item["id"], item["status"]) for item in left] == [("beam-run-1-0004", "complete")]
+    assert [path.stem for path in tmp_path.glob("*.mcap")] == ["beam-run-1-0004"]
+
+
 def test_full_disk_stops_the_recording_with_an_alarm_that_can_be_acknowledged(store, tmp_path, monkeypatch):
     """Kills a full disk that nobody is told of."""
     sink = opened(store, RUN)

@@ -40,6 +40,7 @@ class CataloguedRecorder:
         self._run: Run | None = None
         self._time = 0
         self._began: dict[Path, int] = {}
+        self._settled = 0  # parts whose entries stand for good
         self._told = False
 
     def open(self, run: Run) -> None:
@@ -110,11 +111,15 @@ class CataloguedRecorder:
     def _list(self, status: str, do: Callable[[Callable[[], None]], None] = lambda job: job()) -> None:
         assert self._run is not None
         paths = self._recorder.paths
-        for number, path in enumerate(paths):
+        for number, path in enumerate(paths[self._settled :], self._settled):
             last = number == len(paths) - 1
             start = self._began.setdefault(path, self._time)
             open_end = last and status == "writing" and path not in self._recorder.cut
             following = self._began.get(paths[number + 1], self._time) if not last else self._time
+            try:
+                size = path.stat().st_size
+            except FileNotFoundError:  # the budget has taken it meanwhile, and its entry with it
+                continue
             entry = RecordingEntry(
                 id=path.stem,
                 rig=self._run.rig.name,
@@ -123,6 +128,7 @@ class CataloguedRecorder:
                 start=start,
                 end=None if open_end else following,
                 status="truncated" if path in self._recorder.cut else status if last else "complete",
-                size=path.stat().st_size,
+                size=size,
             )
             do(partial(put_recording, self._store, entry))
+        self._settled = max(0, len(paths) - 1)
