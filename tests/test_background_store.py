@@ -202,3 +202,19 @@ def test_many_rigs_ask_the_store_once_for_what_operators_want(store, monkeypatch
     assert [len(found[rig]) for rig in rigs[:4]] == [2, 2, 2, 0]
     assert inbox.waiting(rigs[0], found[rigs[0]][0].seq) == found[rigs[0]][1:]
     assert reads == []
+
+
+def test_a_rig_whose_run_has_ended_keeps_no_other_from_being_heard(store):
+    """Kills an inbox that fills up with what is asked of a rig that nobody measures any more."""
+    inbox, desks = Inbox(store), {}
+    for name in ("ended", "beam"):
+        desks[name] = BackgroundStore(store, StoreSink(store), inbox=inbox)
+        desks[name].open(make_run(f"{name}-1", name))
+    desks["ended"].close(END)
+    with store.write() as connection:
+        for _ in range(100):  # as many as are read at a time
+            actions.ask(connection, "ended", Action("a", ActionKind.SHELVE, "ada"), actions.DONE)
+        actions.ask(connection, "beam", Action("b", ActionKind.ACKNOWLEDGE, "ada"))
+    (asked,) = wait_for(desks["beam"].asked)
+    assert asked.action.alarm == "b"
+    desks["beam"].close(END)

@@ -126,6 +126,7 @@ class BackgroundStore:
             self._news.notify()
         if self._thread is not None:
             self._thread.join(_CLOSE_SECONDS)
+            self._inbox.leave(self._rig)
             if self._thread.is_alive():
                 self._abandoned = True
                 raise StorageError(f"{self._store.label}: the end of the run could not be written")
@@ -209,6 +210,8 @@ class BackgroundStore:
         self._jobs.popleft()
 
     def _look(self) -> None:
+        if self._closing:
+            return
         for asked in self._inbox.waiting(self._rig, self._seen):
             self._seen = asked.seq
             self._asked.append(asked)

@@ -43,3 +43,7 @@ class Inbox:
             finally:
                 self._lock.release()
         return [asked for asked in self._found.get(rig, ()) if asked.seq > after]
+
+    def leave(self, rig: str) -> None:
+        """Look no more for a rig whose run has ended: what is asked of it waits for its next worker."""
+        self._rigs -= {rig}  # without the lock, which may be held for long: who still wants it enters again
