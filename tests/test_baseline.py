@@ -129,6 +129,34 @@ def test_a_machine_that_was_changed_on_purpose_gets_a_new_baseline_and_the_old_o
     assert monitor.alarms["2"] == "returned_unacknowledged"
 
 
+def test_what_is_being_learnt_anew_goes_on_after_a_restart():
+    """Kills a successor that waits for realisations as late as the earlier run had come to."""
+    run = replace(RUN, baseline=replace(RUN.baseline, realisations=40))
+    frames = list(drifting_frames(run, 68, lambda _m: 1.0))
+    monitor, _ = watch(frames[: 60 * 4], run)
+    monitor.act(Action("", ActionKind.RELEARN, "ada", "new bearing", node="2"))
+    asked = monitor.time
+    watch(frames[60 * 4 :], run, monitor)
+    after = replace(run, id="after", start=monitor.time)
+    again, _ = watch(drifting_frames(after, 60, lambda _m: 1.0), after, Monitor(after, monitor.memory))
+    new = next(b for b in again.baselines if b.node == "2")
+    assert (new.complete, new.successor) == (True, None)
+    assert new.since > asked
+
+
+def test_windows_learnt_from_share_no_data_also_where_realisations_are_lost():
+    """Kills counting by the index of realisations: with every other one lost, windows would overlap by half."""
+    run = replace(RUN, baseline=replace(RUN.baseline, realisations=400))
+    whole = [
+        f
+        for f in drifting_frames(run, 40, lambda _m: 1.0)
+        if f.realisation % 2 or (f.experiment, f.period) != (0, 0)
+    ]
+    monitor, _ = watch(whole, run)
+    assert monitor.counts.realisations == 20
+    assert [b.reference.count for b in monitor.baselines] == [5, 5]
+
+
 def test_what_counts_as_significant_is_the_prediction_interval(rng):
     """Of healthy windows against baselines of 8, 5 % lie above the 5 % limit: 4000 trials, 4 standard errors."""
     run = replace(RUN, limits=Limits(p_value=0.05, dead_band_db=0.0), baseline=BaselineRules(32, change_db=-100.0))

@@ -46,7 +46,7 @@ class Baseline:
     complete : bool
         It is in force, and frozen: only `relearn` replaces it.
     next_realisation : int
-        First one that shares no data with the last window learnt from.
+        First one, among the complete ones of the run, whose window shares no data with the last one learnt from.
     since, updated : int
         Recorded times of the first and the last window learnt from, ns since the Unix epoch.
     growth : Trend
@@ -127,7 +127,7 @@ def step(
     level : NodeLevel
         Of the window.
     realisation : int
-        Index of the last realisation in it.
+        Complete realisations of the run before the last one in it: those that were lost are in no window.
     time : int
         Recorded time of its end, ns since the Unix epoch.
     healthy : bool
@@ -164,6 +164,13 @@ def step(
     if not baseline.complete:
         baseline = _learn(run, baseline, x, time)
     return baseline, verdicts
+
+
+def carried_over(baseline: Baseline, first: int) -> Baseline:
+    """Take a baseline, and what is being learnt to replace it, into a run; from its realisation `first` on."""
+    successor = baseline.successor
+    later = None if successor is None else carried_over(successor, first)
+    return replace(baseline, next_realisation=first, successor=later)
 
 
 def judge(run: Run, baseline: Baseline, x: float) -> Verdict:

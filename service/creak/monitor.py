@@ -364,7 +364,9 @@ class Monitor:
         if before is None:
             return {}
         node = self._alarms[level.name]
-        after, verdicts = baseline.step(self.run, before, level, realisation.index, realisation.end, node.healthy)
+        assert self._whole is not None
+        count = self._whole.sums.realisations - 1
+        after, verdicts = baseline.step(self.run, before, level, count, realisation.end, node.healthy)
         self._baselines = (*(b for b in self._baselines if b is not known), after)
         return verdicts
 
@@ -377,9 +379,8 @@ class Monitor:
         kept = {key: alarm for key, alarm in memory.quality.alarms.items() if key[1] in known}
         # deadlines count from the new run's first frame: that nobody watched meanwhile is no fault of the rig
         self._quality = replace(memory.quality, alarms=kept, heard=None, completed=None)
-        first = run.window if memory.run != run.id else 0
         self._baselines = tuple(
-            replace(b, next_realisation=max(first, 0 if memory.run != run.id else b.next_realisation))
+            b if memory.run == run.id else baseline.carried_over(b, run.window)
             for b in memory.baselines
             if b.node in self._alarms
         )
