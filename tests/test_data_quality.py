@@ -147,6 +147,15 @@ def test_stuck_and_clipped_channels_are_named():
     assert "6 of 6 periods" in clipped[0].message
 
 
+def test_a_late_copy_of_a_transient_period_hides_no_finding():
+    """Kills a watch that begins anew for a frame which counts for nothing."""
+    plan, frames = sound()
+    clipped = changed(frames, lambda f, y: np.clip(y, -0.8, 0.8) if f.realisation == 1 and not f.experiment else y)
+    found, _ = flaws(plan, clipped)
+    assert {f.kind for f in found} == {FaultKind.CLIPPED}
+    assert flaws(plan, [*clipped[:-1], clipped[0], clipped[-1]])[0] == found
+
+
 def test_inputs_other_than_planned_are_named():
     plan, frames = sound()
     plan = replace(plan, excitation=Excitation("multisine", 1.0, 4))

@@ -21,7 +21,7 @@ from creak.localpolynomial import settled
 from creak.mechanics.system import assemble
 from creak.monitor import Monitor
 from creak.network import estimate
-from creak.records import Fault, FaultKind, Scope
+from creak.records import Estimate, Fault, FaultKind, Scope
 from creak.sources.settled import SettledSource
 from creak.sources.simulated import SimulatedRig
 from creak.statistics import Sums
@@ -202,6 +202,21 @@ def test_the_beam_with_suspension_modes_of_one_per_cent():
     assert np.abs(another - truth)[:, 2].max() < 0.3
 
 
+class Listed:
+    """A source of given frames."""
+
+    live = False
+
+    def __init__(self, run, items):
+        self.run, self._items = run, items
+
+    def frames(self):
+        return iter(self._items)
+
+    def close(self):
+        pass
+
+
 def test_incomplete_and_damaged_realisations_are_named_and_the_rest_is_whole():
     """Kills a record that is joined over a missing frame, and a frame that vanishes without being named."""
     plan = make_run(make_rig(2, samples=64, lines=range(2, 28)), steady=2)
@@ -211,17 +226,7 @@ def test_incomplete_and_damaged_realisations_are_named_and_the_rest_is_whole():
         replace(f, y=f.y * np.nan) if (f.realisation, f.experiment, f.period) == (2, 1, 2) else f for f in broken
     ]
 
-    class Listed:
-        live = False
-        run = plan
-
-        def frames(self):
-            return iter(broken)
-
-        def close(self):
-            pass
-
-    source = SettledSource(Listed())
+    source = SettledSource(Listed(plan, broken))
     assert (source.run.rig.transient_periods, source.run.steady_periods) == (0, 3)
     monitor = Monitor(source.run)
     outcomes = [o for item in source.frames() for o in monitor.take(item)] + monitor.finish()
@@ -229,6 +234,26 @@ def test_incomplete_and_damaged_realisations_are_named_and_the_rest_is_whole():
     assert found == [FaultKind.INCOMPLETE, FaultKind.NOT_FINITE, FaultKind.INCOMPLETE]
     assert monitor.counts.realisations == 2
     assert monitor.counts.frames + monitor.counts.rejected_frames == len(broken)
+
+
+def test_late_frames_and_frames_of_no_plan_are_named_and_enter_nothing():
+    """Kills a realisation that a late frame cuts in two: its raw periods, transient ones included, would count."""
+    plan = make_run(make_rig(2, samples=64, lines=range(2, 28)), steady=2)
+    frames = make_frames(plan, 4, seed=1)
+    lost = frames[7]  # of realisation 1, which comes during realisation 2
+    wild = replace(frames[14], realisation=10**9, experiment=7)
+    late = [f for f in frames if f is not lost]
+    late[14:14] = [frames[2], lost, wild]
+    outcomes = {}
+    for name, items in (("without", [f for f in frames if f is not lost]), ("with", late)):
+        source = SettledSource(Listed(plan, items))
+        monitor = Monitor(source.run)
+        outcomes[name] = [o for item in source.frames() for o in monitor.take(item)] + monitor.finish()
+        assert monitor.counts.realisations == 3
+    named = [o.kind for o in outcomes["with"] if isinstance(o, Fault)]
+    assert sorted(named) == sorted([FaultKind.INCOMPLETE, FaultKind.OUT_OF_PLAN, FaultKind.LATE, FaultKind.LATE])
+    levels_of = [[o.nodes for o in each if isinstance(o, Estimate)] for each in outcomes.values()]
+    assert levels_of[0] == levels_of[1]
 
 
 @pytest.mark.parametrize(("shape", "P"), [((2, 2, 128), 1), ((2, 2, 130), 4), ((1, 1, 16), 2)])

@@ -102,6 +102,15 @@ def test_a_lost_transient_period_does_not_cost_the_realisation(tmp_path: Path) -
     assert all(np.isnan(e.y[0]).all() and np.isfinite(e.y[1:]).all() for e in torn)
 
 
+def test_a_late_copy_of_a_transient_period_costs_nothing(path: Path, tmp_path: Path) -> None:
+    """It counts for nothing and is kept; catches a realisation that is thought over when it comes."""
+    taken = list(records())
+    last = next(i for i, r in enumerate(taken) if isinstance(r, Frame) and (r.realisation, r.experiment) == (3, 1))
+    late = next(r for r in taken if isinstance(r, Frame) and r.realisation == 2)
+    write(tmp_path / "late.mcap", [*taken[:last], late, *taken[last:]])
+    np.testing.assert_array_equal(creak.open_recording(tmp_path / "late.mcap").y, creak.open_recording(path).y)
+
+
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no recording is given"):
         creak.open_recording()

@@ -114,9 +114,10 @@ class OpenedRecording:
         index, frames = -1, dict[tuple[int, int], Frame]()
         for record in self._recording.recorded():
             if isinstance(record, Frame) and record.status is not FrameStatus.REJECTED:
-                if record.realisation != index:
+                if record.realisation > index:
                     index, frames = record.realisation, {}
-                frames[record.experiment, record.period] = record
+                if record.realisation == index:  # a late copy of a transient frame belongs to an earlier one
+                    frames[record.experiment, record.period] = record
             elif isinstance(record, Estimate) and record.scope is Scope.RUN:  # its realisation is complete
                 index_counts = (first is None or index >= first) and (last is None or index <= last)
                 if index_counts and record.realisation == index:

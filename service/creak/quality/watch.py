@@ -77,7 +77,9 @@ class Watch:
         if frame.status is FrameStatus.REJECTED:
             return
         rig = self._run.rig
-        if frame.realisation != self._index:
+        if frame.realisation < self._index:
+            return  # a late copy of a transient frame: the open realisation is not over for it
+        if frame.realisation > self._index:
             self._begin(frame.realisation)
         if (frame.u.shape, frame.y.shape) != ((rig.q, rig.period_samples), (rig.n, rig.period_samples)):
             return

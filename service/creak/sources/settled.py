@@ -19,6 +19,7 @@ class _Gathered:
     index: int
     frames: dict[tuple[int, int], Frame] = field(default_factory=dict)
     refused: list[Frame] = field(default_factory=list)  # doubled or damaged ones, for the monitor to name
+    late: list[Frame] = field(default_factory=list)  # of earlier realisations, likewise
 
 
 class SettledSource:
@@ -57,10 +58,16 @@ class SettledSource:
             if isinstance(item, Fault):
                 yield item
                 continue
-            if held is None or item.realisation != held.index:
+            if not self._planned(item):
+                yield item
+                continue
+            if held is None or item.realisation > held.index:
                 if held is not None:
                     yield from self._let_go(held)
                 held = _Gathered(item.realisation)
+            if item.realisation < held.index:
+                held.late.append(item)
+                continue
             place = (item.experiment, item.period)
             if place in held.frames or not self._usable(item):
                 held.refused.append(item)
@@ -73,10 +80,15 @@ class SettledSource:
         """End the iteration soon."""
         self._source.close()
 
+    def _planned(self, frame: Frame) -> bool:
+        return (
+            frame.realisation >= 0
+            and 0 <= frame.experiment < self.run.rig.q
+            and 0 <= frame.period < self.run.periods
+        )
+
     def _usable(self, frame: Frame) -> bool:
         rig = self.run.rig
-        if not (0 <= frame.experiment < rig.q and 0 <= frame.period < self.run.periods):
-            return False
         if (frame.u.shape, frame.y.shape) != ((rig.q, rig.period_samples), (rig.n, rig.period_samples)):
             return False
         return bool(np.isfinite(frame.u).all() and np.isfinite(frame.y).all())
@@ -87,6 +99,7 @@ class SettledSource:
         places = [(c, p) for c in range(rig.q) for p in range(run.periods)]
         if any(place not in held.frames for place in places):
             yield from (held.frames[place] for place in places if place in held.frames)
+            yield from held.late  # last, when the monitor has turned to this realisation and takes no more of them
             return
         records = np.stack([self._record(held, c) for c in range(rig.q)])
         spectra = settled(records, run.periods, self._lines)  # (q, P, lines, channels)
@@ -96,6 +109,7 @@ class SettledSource:
         for c, p in places:
             u, y = samples[c, p, : rig.q], samples[c, p, rig.q :]
             yield replace(held.frames[c, p], u=u, y=y, status=FrameStatus.ACCEPTED, reason="")
+        yield from held.late
 
     def _record(self, held: _Gathered, experiment: int) -> Real:
         frames = [held.frames[experiment, p] for p in range(self.run.periods)]
