@@ -87,6 +87,15 @@ def test_guessing_keys_is_slowed_down(guarded):
     assert codes[-1] == 429
 
 
+def test_many_keys_of_one_address_are_no_guesses(store):
+    """Kills counting every key that is looked up: the screens behind one proxy would be locked out."""
+    with store.write() as connection:
+        tokens = [keys.add(connection, f"screen {i}", KeyScope.READ) for i in range(30)]
+    with serving(create_app(store, access=Access(keys=True))) as client:
+        codes = {client.get(f"{V1}/rigs", headers=with_key(token)).status_code for token in tokens}
+    assert codes == {200}
+
+
 def test_removed_key_opens_nothing(store, tokens, monkeypatch):
     monkeypatch.setattr("creak.api.access._KEY_SECONDS", 0.0)
     with serving(create_app(store, access=Access(keys=True))) as client:

@@ -71,13 +71,21 @@ class Rates:
 
     def take(self, client: str, now: float) -> float:
         """Take a token; 0, or the seconds until there is one."""
-        tokens, at = self._buckets.pop(client, (self._burst, now))
-        tokens = min(self._burst, tokens + (now - at) * self._rate)
-        wait = 0.0 if tokens >= 1.0 else (1.0 - tokens) / self._rate
+        tokens, wait = self._tokens(client, now), self.wait(client, now)
+        self._buckets.pop(client, None)
         self._buckets[client] = (tokens - 1.0 if wait == 0 else tokens, now)
         while len(self._buckets) > _CLIENTS:
             self._buckets.popitem(last=False)
         return wait
+
+    def wait(self, client: str, now: float) -> float:
+        """Seconds until there is a token, none of which is taken; 0 if there is one."""
+        tokens = self._tokens(client, now)
+        return 0.0 if tokens >= 1.0 else (1.0 - tokens) / self._rate
+
+    def _tokens(self, client: str, now: float) -> float:
+        tokens, at = self._buckets.get(client, (self._burst, now))
+        return min(self._burst, tokens + (now - at) * self._rate)
 
 
 class Gate:
@@ -143,7 +151,7 @@ class Gate:
         known = self._known.get(token)
         if known is not None and now < known[1]:
             return known[0]
-        wait = self._failures.take(address, now)
+        wait = self._failures.wait(address, now)
         if wait > 0:
             raise _too_many(wait, "too many keys were tried from this address")
 
@@ -153,6 +161,7 @@ class Gate:
 
         key = await run_sync(look)
         if key is None:
+            self._failures.take(address, time.monotonic())
             raise _unauthorized("this is no key")
         if len(self._known) > _CLIENTS:
             self._known.clear()
