@@ -25,7 +25,10 @@ class Received:
 
 
 class ReceiverServer(ThreadingHTTPServer):
-    """``answers`` are taken one by one, then 204 for ever: a status, or status and headers, or seconds to wait."""
+    """``answers`` are taken one by one, then 204 for ever: a status, or status and headers, or seconds to wait.
+
+    The status "early" is a 204 with a 103 before it.
+    """
 
     daemon_threads = True
 
@@ -70,6 +73,9 @@ class _Handler(BaseHTTPRequestHandler):
         if status == "stall":
             time.sleep(headers["seconds"])
             return
+        if status == "early":
+            self.wfile.write(b"HTTP/1.1 103 Early Hints\r\nLink: </style.css>\r\n\r\n")
+            status = 204
         self.send_response(status)
         for name, value in headers.items():
             self.send_header(name, value)

@@ -42,6 +42,15 @@ def test_redirect_is_not_followed(store, sink):
         assert inside.received == []
 
 
+def test_what_a_receiver_says_before_its_answer_is_no_answer(store, sink):
+    """Kills a delivery that counts as failed, and is made again, since a 103 came before its 204."""
+    with receiving("early") as server, delivering(store, rules=PATIENT):
+        receiver = add(store, server.url)
+        sink.take(make_alarm(RUN))
+        wait_for(lambda: statuses(store) == ["delivered"])
+        assert [entry["status_code"] for entry in log(store, receiver)] == [204]
+
+
 def test_proxy_of_the_environment_is_not_asked(store, sink, monkeypatch):
     with receiving() as proxy, receiving() as server:
         for name in ("http_proxy", "HTTP_PROXY", "ALL_PROXY", "https_proxy"):

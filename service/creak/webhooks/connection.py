@@ -111,7 +111,7 @@ async def _exchange(
         if event is h11.NEED_DATA:
             connection.receive_data(await reader.read(8192))
         elif isinstance(event, h11.InformationalResponse):
-            raise DeliveryError(f"the answer is a {event.status_code}, for which nobody asked")
+            continue  # the answer follows it (RFC 9110, 15.2)
         elif isinstance(event, h11.Response):
             asked = next((value for name, value in event.headers if name == b"retry-after"), None)
             await _drain(reader)
