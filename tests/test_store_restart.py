@@ -11,9 +11,10 @@ from creak.codec import memory_bytes, time_json
 from creak.monitor import Monitor
 from creak.records import AlarmChange, Scope
 from creak.sinks import queries
+from creak.sinks.restart import recorded_until
 from creak.sinks.service_alarms import raise_alarm
 from creak.sinks.store import StoreSink
-from store_records import SECOND, START, feed, make_alarm, make_run, opened
+from store_records import SECOND, START, feed, make_alarm, make_frame, make_run, opened
 
 
 def states(store):
@@ -81,3 +82,12 @@ def test_what_the_new_run_does_not_know_ends_journalled_and_what_nobody_saw_wait
     ended = next(a for a in found if a["id"] == "first/1/0")
     assert ended["time"] == time_json(START + 3 * SECOND)  # the last that its run saw
     assert ended["comment"]
+
+
+def test_recorded_time_goes_on_where_it_was_to_the_nanosecond(store):
+    """Kills a sum of floats, which tell nanoseconds since 1970 to some 256 of them."""
+    run = make_run()
+    sink = opened(store, run)
+    sink.take(replace(make_frame(run, 0), time=START + 1))
+    sink.flush()
+    assert recorded_until(store, "beam") == START + 1 + SECOND  # a period of the rig

@@ -41,7 +41,7 @@ def recorded_until(store: Store, rig: str) -> int:
             .join(tables.rigs, tables.rigs.c.run == runs.c.id)
             .where(tables.rigs.c.name == rig)
         ).first()
-    return 0 if row is None or row[0] is None else int(row[0] + row[1] / row[2] * 1e9)
+    return 0 if row is None or row[0] is None else int(row[0]) + round(row[1] / row[2] * 1e9)
 
 
 def take_over(connection: sa.Connection, run: Run) -> None:
