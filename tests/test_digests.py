@@ -1,5 +1,6 @@
 """Digests: what a monitor makes of them is what it makes of the frames, wherever they are cut and carried."""
 
+import json
 import random
 from dataclasses import replace
 
@@ -117,6 +118,24 @@ def test_what_says_how_far_the_rig_was_heard_ends_its_silence():
     assert not any(
         isinstance(o, AlarmChange) for o in fresh.take_digest(replace(told[1], end=told[0].end + 10**9))
     )
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        ["zeros", "<f8", [10**15], 0, [0]],
+        ["zeros", "<f8", [2**70], 0, [0]],
+        ["ordered", "<f8", [2**70], 0, [0]],
+        ["ordered", 8, [1], 0, [0]],
+        ["enum", "Verdict", []],
+        ["record", "Digest", []],
+    ],
+)
+def test_bytes_that_ask_for_what_cannot_be_are_refused(array):
+    """Kills a letter that ends the analyser: more memory than there is, a number that is none of the machine's."""
+    text = json.dumps({"format": 3, "memory": array}).encode()
+    with pytest.raises(RecordingError, match="cannot be read"):
+        unpacked(Memory, len(text).to_bytes(8, "little") + text)
 
 
 def test_bytes_of_another_kind_are_refused():

@@ -105,7 +105,15 @@ def _read(data: bytes, part: Callable[[Any], Any]) -> Any:
         return _made(part(document["memory"]), memoryview(data)[8 + length :])
     except RecordingError:
         raise
-    except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
+    except (
+        LookupError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+        MemoryError,
+        RecursionError,
+    ) as error:
         raise RecordingError(f"a monitor's state that cannot be read: {error}") from error
 
 
