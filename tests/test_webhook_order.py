@@ -1,11 +1,12 @@
 """Order within an alarm, storms, several receivers and deliverers: one receiver's trouble is its own."""
 
 import time
+from collections import Counter
 
 import pytest
 import sqlalchemy as sa
 
-from creak.sinks import receivers
+from creak.sinks import outbox, receivers
 from creak.sinks.database import open_store
 from creak.sinks.operator_tables import deliveries
 from creak.sinks.operator_tables import outbox as messages
@@ -53,6 +54,25 @@ def test_storm_is_capped_and_put_together_without_losing_an_alarm(store, sink):
                 last[alarm["id"]] = alarm["event"]
     assert last == {make_alarm(RUN, number=number).id: "cleared" for number in range(30)}
     assert set(statuses(store)) == {"delivered", "coalesced"}
+
+
+def test_backlog_of_any_length_is_put_together_and_one_message_stays_as_it_is(tmp_path):
+    """Kills a list of all that waits in one statement: a database takes so many values and no more."""
+    store = open_store(f"sqlite:///{tmp_path}/creak.db")
+    sa.event.listen(store._engine, "checkout", lambda connection, *_: connection.setlimit(9, 50))  # of values
+    receiver = add(store, "http://127.0.0.1:9/")
+    sink = opened(store, RUN)
+    sink.take(changes(0)[0])
+    with store.write() as connection:
+        assert outbox.coalesce(connection, receiver, 7) is None
+    assert statuses(store) == ["pending"]
+    for number in range(1, 40):
+        for change in changes(number, 2):
+            sink.take(change)
+    with store.write() as connection:
+        assert outbox.coalesce(connection, receiver, 7) is not None
+    assert Counter(statuses(store)) == {"coalesced": 79, "pending": 1}
+    store.close()
 
 
 def test_stalled_receiver_holds_up_nobody_else(store, sink):

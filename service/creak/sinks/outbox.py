@@ -218,24 +218,21 @@ def coalesce(connection: sa.Connection, receiver: Receiver, now: int) -> str | N
     The message tells of every alarm as it stands after its newest change, so nothing is left out but what lay
     between. All that wait are taken, so that those which follow come after it.
     """
-    query = (
-        sa.select(outbox)
-        .where(outbox.c.webhook == receiver.id, outbox.c.status == PENDING, outbox.c.type.like("alarm.%"))
-        .order_by(outbox.c.seq)
-    )
-    newest: dict[str, Any] = {}
-    taken: list[int] = []
-    for row in connection.execute(query).mappings():
-        newest[row["subject"]] = json.loads(row["body"])["data"]
-        taken.append(row["seq"])
-    if len(taken) < 2:
-        return None
     identifier = f"msg_{uuid.uuid4().hex}"
+    merged = (
+        sa.update(outbox)
+        .where(outbox.c.webhook == receiver.id, outbox.c.status == PENDING, outbox.c.type.like("alarm.%"))
+        .values(status=COALESCED, merged_into=identifier)
+        .returning(outbox.c.seq, outbox.c.subject, outbox.c.body)
+    )
+    taken = sorted(connection.execute(merged).all(), key=lambda row: row.seq)
+    if len(taken) < 2:
+        undone = sa.update(outbox).where(outbox.c.merged_into == identifier)
+        connection.execute(undone.values(status=PENDING, merged_into=None))
+        return None
+    newest = {subject: json.loads(body)["data"] for _, subject, body in taken}
     data = {"messages": len(taken), "alarms": list(newest.values())}
     _insert(connection, receiver, identifier, "", "alarms.coalesced", time_json(now), "", data, now)
-    connection.execute(
-        sa.update(outbox).where(outbox.c.seq.in_(taken)).values(status=COALESCED, merged_into=identifier)
-    )
     return identifier
 
 
