@@ -60,6 +60,26 @@ def test_a_counter_that_wraps_goes_on(tmp_path):
     assert way.injected["reordered"] > 10
 
 
+@pytest.mark.parametrize("bits", [62, 63, 64])
+@pytest.mark.parametrize("begin", ["at 0", "before its end"])
+def test_a_counter_may_have_64_bits(bits, begin, tmp_path):
+    """Kills sums beyond 64 bits, which end the source or place a sample anywhere."""
+    run, frames = plan(4)
+    mapping = can_rigs.mapping(tmp_path, run, can_rigs.one_frame(2, counter_bits=bits, crc=0))
+    controller = Controller(run, mapping)
+    batches = [controller.frames(frame, index) for index, frame in enumerate(frames)]
+    if begin != "at 0":
+        for sent in batches:
+            words = sent.data[:, :8].copy().view("<u8")
+            words += np.uint64((1 << bits) - 5 * N)
+            words &= np.uint64((1 << bits) - 1)
+            markers = sent.data[:, 7] & np.uint8(0xFF << (bits - 56) & 0xFF)  # share the last byte
+            sent.data[:, :8] = words.view(np.uint8)
+            sent.data[:, 7] |= markers
+    out = through(CanPipeline(run, mapping), batches)
+    same_frames([o for o in out if isinstance(o, Frame)], [quantised(f, mapping) for f in frames])
+
+
 def test_a_lost_frame_is_named_with_its_counters_and_costs_its_period_alone(tmp_path):
     run, frames = plan()
     mapping = can_rigs.mapping(tmp_path, run, can_rigs.one_frame(2))

@@ -4,12 +4,18 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from creak.config.can import CanSource, CounterTable, SignalsTable
 from creak.counters import Counting
 from creak.errors import ConfigurationError
 from creak.records import Rig, Run
 from creak.sources.can_load import frame_seconds
-from creak.sources.dbc import Condition, Database, Message, Signal
+from creak.sources.dbc import Condition, Database, Message, Payload, Signal
+
+_MOST_COUNTS = 1 << 60  # samples that are told apart: what is more never comes round, and sums stay in 64 bits
+_MOST_REALISATIONS = 1 << 31  # likewise
 
 
 @dataclass(frozen=True)
@@ -34,6 +40,13 @@ class CountedBy:
     factor: int
     wraps: int
     offset: int
+
+    def samples(self, data: Payload) -> NDArray[np.int64]:
+        """Samples counted in payloads ``(frames, bytes)`` of the message, from 0 to the wrap, ``(frames,)``."""
+        counts: NDArray[np.int64] = (
+            self.signal.raw(data).astype(np.int64) % (self.wraps // self.factor) * self.factor
+        )
+        return counts
 
 
 @dataclass(frozen=True)
@@ -139,7 +152,8 @@ class _Resolver:
         ]
         leading = self._leading(parts, markers)
         counted = parts[leading].counted_by
-        counting = Counting(counted.wraps, tuple(signal.range for _, signal in markers))
+        ranges = tuple(min(signal.range, _MOST_REALISATIONS) for _, signal in markers)
+        counting = Counting(counted.wraps, ranges)
         problem = counting.problem(self._run)
         if problem:
             raise self._wrong("counter", f"{counted.signal.name} {problem}")
@@ -283,6 +297,8 @@ class _Resolver:
         values = own.wraps or signal.range
         if values > signal.range:
             raise self._wrong("wraps", f"{values} is not allowed: {signal.name} has {signal.range} values")
+        while values * factor > _MOST_COUNTS:  # halves of a power of two: its wrap stays one of theirs
+            values //= 2
         return CountedBy(holder, signal, factor, values * factor, own.offset)
 
     def _counter_by_name(self, message: Message, missing: str | None = None) -> str:

@@ -88,8 +88,7 @@ class CanPipeline:
         leading = mapping.parts[mapping.leading]
         rows = self._rows(frames, leading)
         data = frames.data[rows, : leading.message.length]
-        counts = leading.counted_by.signal.raw(data).astype(np.int64) * leading.counted_by.factor
-        counts = counts - leading.counted_by.offset
+        counts = leading.counted_by.samples(data) - leading.counted_by.offset
         markers = np.empty((len(rows), len(mapping.markers)), dtype=np.int64)
         for column, signal in enumerate(mapping.markers):
             markers[:, column] = signal.raw(data)
@@ -188,10 +187,10 @@ class CanPipeline:
         counted = part.counted_by
         rows = self._rows(frames, part)
         if counted.message.name == part.message.name:
-            counts = counted.signal.raw(frames.data[rows, : part.message.length]).astype(np.int64)
+            counts = counted.samples(frames.data[rows, : part.message.length])
         else:
             counts, rows = self._synchronous(frames, rows, part)
-        first = self._tracker.near(counts * counted.factor - counted.offset, counted.wraps)
+        first = self._tracker.near(counts - counted.offset, counted.wraps)
         near = np.abs(first - self._tracker.newest) <= self._run.rig.period_samples
         return rows[near], first[near]
 
@@ -202,7 +201,7 @@ class CanPipeline:
         sync = part.counted_by.message
         identifier = sync.identifier | (EXTENDED if sync.extended else 0)
         at = np.flatnonzero(frames.identifiers == identifier)
-        values = part.counted_by.signal.raw(frames.data[at, : sync.length]).astype(np.int64)
+        values = part.counted_by.samples(frames.data[at, : sync.length])
         before = np.searchsorted(at, rows) - 1
         known = self._synced.get(part.message.name)
         if len(at):
