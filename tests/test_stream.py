@@ -12,6 +12,7 @@ import pytest
 from conftest import make_frames, make_rig, make_run
 from creak.analysis import Plan, RigAnalysis
 from creak.broker import Broker, StreamLimits
+from creak.cli import run as command
 from creak.codec import packed
 from creak.codec.letters import envelope_of
 from creak.digests import CLOSING, OPENING, Digest, Gatherer
@@ -24,6 +25,7 @@ from creak.sinks.stream import StreamSink, subject
 from creak.sources.retold import BEFORE_ALL, retold
 from creak.sources.stream import LetterReader
 from creak.worker import Worker
+from fleet_places import RIG as RIG_FILE_TEXT
 from fleet_places import broker
 from store_places import PLACES, place
 from test_worker import Frames
@@ -94,6 +96,26 @@ OVER = {"whole_frames": False, "ended": True}
 
 def run_of(name):
     return make_run(RIG, run_id=name, start=1)
+
+
+def test_what_keeps_a_connection_from_being_tried_is_said(caplog):
+    """Kills a worker that waits for its broker for ever and never says why."""
+    made = Broker("nats://127.0.0.1:port", "t", LIMITS)
+    try:
+        wait_for(lambda: "the broker cannot be reached: nats: invalid connect url" in caplog.text)
+        assert not made.connected
+    finally:
+        made.close()
+
+
+def test_credentials_that_are_not_there_are_one_line(tmp_path, capsys):
+    (tmp_path / "rig.toml").write_text(RIG_FILE_TEXT.format(name="beam"))
+    (tmp_path / "creak.toml").write_text(
+        '[stream]\ncredentials = "user.creds"\n[[rigs]]\nrig = "rig.toml"\n[rigs.source]\nkind = "stream"\n'
+    )
+    assert command(["analyse", str(tmp_path / "creak.toml")]) == 2
+    found = capsys.readouterr().err
+    assert found == f"creak: configuration: stream.credentials: '{tmp_path}/user.creds' is no file\n"
 
 
 def test_letters_come_in_parts_in_order_and_hold_what_was_measured(connection, tmp_path):

@@ -72,6 +72,9 @@ class Broker:
     def __init__(self, url: str, stream: str, limits: StreamLimits, credentials: Path | None = None) -> None:
         try:
             import nats
+
+            if credentials is not None:
+                import nkeys  # noqa: F401 - which the library asks for only when it connects
         except ImportError:
             raise InputError('streams need the extra "nats": pip install "creak[nats]"') from None
         self._connect = nats.connect
@@ -172,14 +175,19 @@ class Broker:
 
     async def _begin(self) -> None:
         """Connect, however long that takes, and see to the stream."""
-        self._client = await self._connect(
-            **self._options,
-            connect_timeout=2,
-            reconnect_time_wait=_RETRY_SECONDS,
-            max_reconnect_attempts=-1,
-            error_cb=self._note_error,
-            reconnected_cb=self._arrive,
-        )
+        while self._client is None:
+            try:
+                self._client = await self._connect(
+                    **self._options,
+                    connect_timeout=2,
+                    reconnect_time_wait=_RETRY_SECONDS,
+                    max_reconnect_attempts=-1,
+                    error_cb=self._note_error,
+                    reconnected_cb=self._arrive,
+                )
+            except Exception as error:  # noqa: BLE001 - credentials that cannot be read, say, and may be there later
+                await self._note_error(error)
+                await asyncio.sleep(_RETRY_SECONDS)
         await self._arrive()
 
     async def _arrive(self) -> None:

@@ -143,6 +143,9 @@ def background_analysis(
 
 
 def _broker(stream: StreamTable) -> Broker:
+    if stream.credentials is not None and not stream.credentials.is_file():
+        problem = f"{str(stream.credentials)!r} is no file"
+        raise ConfigurationError("configuration", "stream.credentials", problem)
     limits = StreamLimits(stream.keep_seconds, stream.keep_bytes)
     return Broker(stream.url, stream.name, limits, stream.credentials)
 
