@@ -158,6 +158,9 @@ def test_bodies_that_are_none(client):
             answer = client.request(
                 method, filled(client, path), content=content, headers={"Content-Type": "application/json"}
             )
+            if not content and not operation["requestBody"].get("required"):
+                assert answer.status_code == 200, answer.text
+                continue
             assert_refused(answer, operation, {413} if len(content) > 65_536 else {400, 422})
         for kind in TYPES:
             answer = client.request(method, filled(client, path), content=b"by=a", headers={"Content-Type": kind})

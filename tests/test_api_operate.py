@@ -84,6 +84,10 @@ def test_shelve_and_unshelve(client, desk):
     assert (alarm["state"], alarm["shelved"], alarm["shelved_until"]) == ("shelved", True, until)
     assert post(client, f"{path}/unshelve", body=SEEN)["state"] == "unacknowledged"
     assert post(client, f"{path}/unshelve", body=SEEN)["state"] == "unacknowledged"
+    for bare in (None, {}, {"comment": "back in sight"}):
+        post(client, f"{path}/shelve", body={**SEEN, "until": until})
+        alarm = post(client, f"{path}/unshelve", body=bare)
+        assert (alarm["state"], alarm["by"]) == ("unacknowledged", "anonymous")
     for bad in ("2026-04-30", "2030-01-01"):  # in the past; for longer than is allowed
         answer = client.post(f"{V1}{path}/shelve", json={**SEEN, "until": bad})
         assert_problem(answer, 409, "alarm-not-allowed")

@@ -46,6 +46,12 @@ class ActionBody(Answer):
     comment: str = Field(default="", max_length=2000, pattern=_TEXT, description="Why.")
 
 
+class UnshelveBody(ActionBody):
+    """Who asks, and why; all of it may be left out."""
+
+    by: str = Field(default="anonymous", min_length=1, max_length=200, pattern=_LINE, description="Who does it.")
+
+
 class ShelveBody(ActionBody):
     """Who asks, why, and until when."""
 
@@ -55,6 +61,8 @@ class ShelveBody(ActionBody):
 
 
 ActionBody.example = {"by": "A. Operator", "comment": "seen; the bearing is ordered"}
+UnshelveBody.example = ActionBody.example
+_NAMELESS = UnshelveBody()
 ShelveBody.example = {**ActionBody.example, "until": "2026-05-01T16:00:00Z"}
 
 _ANSWERS: dict[int | str, dict[str, Any]] = {
@@ -86,9 +94,14 @@ async def shelve(
 
 @router.post("/{alarm}/unshelve", response_model=Alarm, responses=_ANSWERS)
 async def unshelve(
-    *, store: StoreOf, alarm: AlarmId, body: ActionBody, response: Response, if_match: IF_MATCH = None
+    *,
+    store: StoreOf,
+    alarm: AlarmId,
+    body: UnshelveBody = _NAMELESS,
+    response: Response,
+    if_match: IF_MATCH = None,
 ) -> Json:
-    """End the shelving of an alarm before its time; one that is not shelved stays as it is."""
+    """End the shelving of an alarm before its time; one that is not shelved stays as it is. No body is needed."""
     return await _act(store, alarm, ActionKind.UNSHELVE, body, response, if_match)
 
 
