@@ -134,7 +134,7 @@ def rig(
     )
     events = _Events(silence_at, silence_for, restart_at, bus_off_at, bus_errors)
     sender = _Sender(bus, source.fd, pace, events, fault_seed)
-    with closing(_Closing(bus)):
+    with bus:
         _play(simulated, controller, way, sender, events)
     summary = {"frames": sender.sent, "error_frames": sender.errors, "periods": sender.periods, **way.injected}
     if as_json:
@@ -143,14 +143,6 @@ def rig(
         console().print(
             ", ".join(f"{value} {key.replace('_', ' ')}" for key, value in summary.items()), highlight=False
         )
-
-
-class _Closing:
-    def __init__(self, bus: Any) -> None:
-        self._bus = bus
-
-    def close(self) -> None:
-        self._bus.shutdown()
 
 
 def _play(

@@ -3,21 +3,16 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from creak.config.fields import Count, Positive, Strict
 from creak.config.validation import explain, parse_toml, read_text
 
-Count = Annotated[int, Field(ge=1, strict=True)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Name = Annotated[str, Field(min_length=1)]
 Option = str | int | float | bool
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
-
-
-class CounterTable(_Strict):
+class CounterTable(Strict):
     """``counters.<message>``: by which counter the samples of one message are placed."""
 
     signal: Name
@@ -30,12 +25,12 @@ class CounterTable(_Strict):
     """Samples by which the message is late."""
 
 
-class SignalsTable(_Strict):
+class SignalsTable(Strict):
     """``[rigs.source.signals]``: names as ``Message.Signal``; ``{}`` stands for 0, 1, 2 ... in one frame."""
 
-    inputs: dict[str, Name | list[Name]] = {}
+    inputs: dict[str, Name | list[Name]] = Field(default={})
     """Signals of the inputs by node, `Message.Signal`; `{}` stands for 0, 1, 2 ... in one frame."""
-    responses: dict[str, Name | list[Name]] = {}
+    responses: dict[str, Name | list[Name]] = Field(default={})
     """Signals of the responses by node."""
     counter: Name | None = None
     """Signal of the sample counter."""
@@ -43,7 +38,7 @@ class SignalsTable(_Strict):
     """What the counter counts."""
     wraps: Annotated[int, Field(ge=2, strict=True)] | None = None
     """Value at which the counter begins again."""
-    counters: dict[str, CounterTable] = {}
+    counters: dict[str, CounterTable] = Field(default={})
     """Counters of messages that have their own, by message."""
     realisation: Name | None = None
     """Signal of the marker."""
@@ -51,9 +46,9 @@ class SignalsTable(_Strict):
     """Signal of the marker."""
     period: Name | None = None
     """Signal of the marker."""
-    valid: list[Name] = []
+    valid: list[Name] = Field(default=[])
     """Signals that must not be 0."""
-    checksum: list[Name] = []
+    checksum: list[Name] = Field(default=[])
     """Signals that hold a checksum of their frame."""
 
     @model_validator(mode="after")
@@ -70,7 +65,7 @@ class SignalsTable(_Strict):
         return tuple(name for name in (self.realisation, self.experiment, self.period) if name is not None)
 
 
-class CanSource(_Strict):
+class CanSource(Strict):
     """``[rigs.source]`` of kind can."""
 
     kind: Literal["can"]
@@ -87,9 +82,9 @@ class CanSource(_Strict):
     """Of the bus."""
     data_bitrate: Count | None = None
     """Of CAN FD."""
-    options: dict[str, Option] = {}
+    options: dict[str, Option] = Field(default={})
     """Further ones of the interface."""
-    logs: list[Path] = []
+    logs: list[Path] = Field(default=[])
     """Files instead of an interface."""
     steady_periods: Count = 2
     """Periods of an experiment after the transient ones."""

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from creak.config.fields import Strict
 from creak.config.validation import explain, parse_toml, read_text
 from creak.errors import ConfigurationError
 from creak.mechanics.beam import Beam, Station
@@ -22,27 +23,23 @@ Flag = Annotated[bool, Field(strict=True)]
 _Matrix = list[list[Number]] | str
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _MassTable(_Strict):
+class _MassTable(Strict):
     name: str
     mass: Number
 
 
-class _LinkTable(_Strict):
+class _LinkTable(Strict):
     between: tuple[str, str]
     stiffness: Number
     damping: Number = 0.0
 
 
-class _LumpedTable(_Strict):
+class _LumpedTable(Strict):
     masses: list[_MassTable]
-    links: list[_LinkTable] = []
+    links: list[_LinkTable] = Field(default=[])
 
 
-class _MatricesTable(_Strict):
+class _MatricesTable(Strict):
     mass: _Matrix
     damping: _Matrix
     stiffness: _Matrix
@@ -50,7 +47,7 @@ class _MatricesTable(_Strict):
     outputs: dict[str, Whole]
 
 
-class _StationTable(_Strict):
+class _StationTable(Strict):
     name: str
     position: Number
     moving_mass: Number = 0.0
@@ -61,7 +58,7 @@ class _StationTable(_Strict):
     force_constant: Number = 1.0
 
 
-class _BeamTable(_Strict):
+class _BeamTable(Strict):
     length: Number
     width: Number
     thickness: Number
@@ -72,7 +69,7 @@ class _BeamTable(_Strict):
     stations: list[_StationTable]
 
 
-class _MeasuredTable(_Strict):
+class _MeasuredTable(Strict):
     recording: str
     realisations: tuple[Whole, Whole] | None = None
     linear: Flag = False

@@ -5,8 +5,9 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from creak.config.fields import Strict
 from creak.config.validation import explain, parse_toml, read_text
 from creak.errors import ConfigurationError
 from creak.multisine import grid_lines
@@ -16,17 +17,13 @@ Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\s/\p{C}](
 _MAX_NODES = 256
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _NodeTable(_Strict):
+class _NodeTable(Strict):
     name: Name
     output: Annotated[str, Field(min_length=1)]
     input: Annotated[str, Field(min_length=1)] | None = None
 
 
-class _RigTable(_Strict):
+class _RigTable(Strict):
     name: Name
     sample_rate: Annotated[float, Field(gt=0, allow_inf_nan=False)]
     period_samples: Annotated[int, Field(ge=4, strict=True)]
