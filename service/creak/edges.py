@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from creak.hermitian import lines_last
 from creak.network import NONE, Forms, edge_forms, fitted_parameters, neighbours, powers_of
 from creak.records import Complex, Real, Rig
-from creak.residuals import least_squares_powers, lines_last
+from creak.residuals import least_squares_powers
 from creak.significance import pooled_p_value, variance_ratio_p_values
 from creak.statistics import Sums, quadratic
 

@@ -5,6 +5,8 @@ each row the real and imaginary parts of the entries left of the diagonal, then 
 So entry (i, j) begins at row ``i^2 + 2j``, and the first k^2 rows are the leading k by k matrix.
 """
 
+from typing import TypeVar
+
 import numpy as np
 
 from creak.compiling import vectorised
@@ -12,6 +14,13 @@ from creak.records import Complex, Real
 
 TILE = 64
 """Lines that are worked on together."""
+
+_Array = TypeVar("_Array", Complex, Real)
+
+
+def lines_last(matrices: _Array) -> _Array:
+    """``(F, rows, columns)`` as the compiled loops take them, ``(rows, columns, F)``."""
+    return np.ascontiguousarray(matrices.transpose(1, 2, 0))
 
 
 @vectorised

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from creak.hermitian import lines_last
 from creak.location import locate
 from creak.records import Complex, ElementShare, Estimate, NodeLevel, Real, Rig, Scope, Spectra
-from creak.residuals import POWERS, lines_last, residual_powers
+from creak.residuals import POWERS, residual_powers
 from creak.rows import edge_rows, pulls
 from creak.significance import line_p_values, pooled_p_value, q_values
 from creak.statistics import Sums

@@ -258,8 +258,3 @@ def _minus_divided(
             for t in range(TILE):
                 K_real[j, t] -= K_real[k, t] * L_real[k, j, t] - K_imag[k, t] * L_imag[k, j, t]
                 K_imag[j, t] -= K_real[k, t] * L_imag[k, j, t] + K_imag[k, t] * L_real[k, j, t]
-
-
-def lines_last(matrices: Complex) -> Complex:
-    """``(F, rows, columns)`` as these loops take them, ``(rows, columns, F)``."""
-    return np.ascontiguousarray(matrices.transpose(1, 2, 0))

@@ -15,9 +15,8 @@ import scipy.special
 from numpy.typing import NDArray
 
 from creak.compiling import compiled, vectorised
+from creak.hermitian import TILE
 from creak.records import Real
-
-_TILE = 64
 
 FALSE_DISCOVERIES = 0.05
 """Share of false ones that is accepted among the lines and nodes that are called significant."""
@@ -86,29 +85,29 @@ def _variance_ratio_tails(x: Real, y: Real, m: int, k: int, p: Real) -> None:
     Functions*, 26.6.4. All terms are positive, so the result is good to rounding however small it is; the power
     of b comes in two halves, so that neither overflows.
     """
-    a, b, total, power = np.empty(_TILE), np.empty(_TILE), np.empty(_TILE), np.empty(_TILE)
-    for first in range(0, x.size, _TILE):
-        n = min(_TILE, x.size - first)
+    a, b, total, power = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
+    for first in range(0, x.size, TILE):
+        n = min(TILE, x.size - first)
         for t in range(n):
             both = x[first + t] + y[first + t]
             a[t] = x[first + t] / both
             b[t] = y[first + t] / both
-        for t in range(_TILE):
+        for t in range(TILE):
             total[t] = 1.0
         for j in range(m - 1, 0, -1):
             factor = (k + j - 1.0) / j
-            for t in range(_TILE):
+            for t in range(TILE):
                 total[t] = 1.0 + factor * a[t] * total[t]
         for half in (k // 2, k - k // 2):
             left = half
-            for t in range(_TILE):
+            for t in range(TILE):
                 power[t] = b[t]
             while left > 0:
                 if left % 2 == 1:
-                    for t in range(_TILE):
+                    for t in range(TILE):
                         total[t] *= power[t]
                 left //= 2
-                for t in range(_TILE):
+                for t in range(TILE):
                     power[t] *= power[t]
         for t in range(n):
             p[first + t] = total[t] if not total[t] > 1.0 else 1.0  # by rounding

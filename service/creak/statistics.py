@@ -21,7 +21,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from creak.hermitian import quadratic_forms, shear, shear_vectors, unpack
+from creak.hermitian import lines_last, quadratic_forms, shear, shear_vectors, unpack
 from creak.moments import pool, residual_moments, responses
 from creak.records import Complex, Real
 
@@ -103,7 +103,7 @@ class Sums:
             S = _response(V, inputs)
         between, within = np.empty((width**2, lines)), np.empty((width**2, lines))
         period_sums = np.empty((periods, width, lines), dtype=np.complex128)
-        residual_moments(V, _lines_last(S), between, within, period_sums)
+        residual_moments(V, lines_last(S), between, within, period_sums)
         return cls(
             realisations=1,
             periods=periods,
@@ -146,10 +146,10 @@ class Sums:
 
     def _pooled(self, other: "Sums") -> tuple[Complex, Real]:
         """Mean `S` and `spread` of both operands' realisations."""
-        own, others = _lines_last(self.S), _lines_last(other.S)
+        own, others = lines_last(self.S), lines_last(other.S)
         S, spread = np.empty_like(own), np.empty(own.shape)
         weights = float(self.realisations), float(other.realisations)
-        pool(own, _lines_last(self.spread), weights[0], others, _lines_last(other.spread), weights[1], S, spread)
+        pool(own, lines_last(self.spread), weights[0], others, lines_last(other.spread), weights[1], S, spread)
         return _lines_first(S), _lines_first(spread)
 
     @property
@@ -234,7 +234,7 @@ class Sums:
         D = (self.S if self.about is None else self.about) - about
         if not D.any():
             return replace(self, about=about)
-        D = _lines_last(D)
+        D = lines_last(D)
         between, within = np.empty_like(self.packed_between), np.empty_like(self.packed_within)
         shear(self.packed_between, D, between)
         shear(self.packed_within, D, within)
@@ -275,7 +275,7 @@ def quadratic(forms: Complex, packed: Real) -> Real:
     array, (F, rows)
     """
     powers = np.empty((forms.shape[1], forms.shape[0]))
-    quadratic_forms(_lines_last(forms), packed, powers)
+    quadratic_forms(lines_last(forms), packed, powers)
     return powers.T
 
 
@@ -305,11 +305,6 @@ def _divide(Y: Complex, U: Complex) -> Complex:
     """``Y U^-1`` for stacks of matrices."""
     transposed = np.linalg.solve(U.swapaxes(-1, -2), Y.swapaxes(-1, -2))
     return np.asarray(transposed.swapaxes(-1, -2), dtype=np.complex128)
-
-
-def _lines_last(matrices: _Array) -> _Array:
-    """``(F, rows, columns)`` as :mod:`creak.moments` takes them, ``(rows, columns, F)``."""
-    return np.ascontiguousarray(matrices.transpose(1, 2, 0))
 
 
 def _lines_first(matrices: _Array) -> _Array:

@@ -173,9 +173,7 @@ def _least_correlated(
     trees = [part]
     if len(vertices) <= _LARGEST_PART:
         every = tuple(combinations(vertices, 2))
-        trees = [
-            tree for tree in combinations(every, len(part)) if len(parts_of(tree)) == 1 and _spans(tree, vertices)
-        ]
+        trees = [tree for tree in combinations(every, len(part)) if _spans(tree, vertices)]
     others = tuple(edge for edge in edges if edge not in part)
     if len(trees) == 1:
         return part, 0.0

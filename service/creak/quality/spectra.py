@@ -3,9 +3,8 @@
 import numpy as np
 
 from creak.compiling import vectorised
+from creak.hermitian import TILE
 from creak.records import Complex, Real
-
-_TILE = 64  # lines that are worked on together
 
 
 @vectorised
@@ -22,11 +21,11 @@ def period_changes(spectra: Complex, power: Real, moved: Real, cross: Complex) -
         Result: ``sum X_(p+1) conj(X_p)``, over experiments and periods.
     """
     q, P, w, F = spectra.shape
-    a, b, size, change = np.empty(_TILE), np.empty(_TILE), np.empty(_TILE), np.empty(_TILE)
+    a, b, size, change = np.empty(TILE), np.empty(TILE), np.empty(TILE), np.empty(TILE)
     for i in range(w):
         power[i], moved[i] = 0.0, 0.0
-        for first in range(0, F, _TILE):
-            m = min(_TILE, F - first)
+        for first in range(0, F, TILE):
+            m = min(TILE, F - first)
             for t in range(m):
                 a[t], b[t], size[t], change[t] = 0.0, 0.0, 0.0, 0.0
             for e in range(q):
@@ -73,10 +72,10 @@ def early_differences(
     q, P, _, F = spectra.shape
     known = len(discarded) > 0
     begin = 1 if known else 2  # of the periods after the second
-    rest = np.empty(_TILE, dtype=np.complex128)
+    rest = np.empty(TILE, dtype=np.complex128)
     response = 0.0
-    for start in range(0, F, _TILE):
-        m = min(_TILE, F - start)
+    for start in range(0, F, TILE):
+        m = min(TILE, F - start)
         for t in range(m):
             first[start + t], second[start + t], cross[start + t] = 0.0, 0.0, 0.0
         for e in range(q):
@@ -149,11 +148,11 @@ def noise_gains(U: Complex, gains: Real) -> None:
         Result; infinite where ``U`` is singular to rounding.
     """
     q, _, F = U.shape
-    real, imag = np.zeros((q, q, _TILE)), np.zeros((q, q, _TILE))
-    L_real, L_imag = np.zeros((q, q, _TILE)), np.zeros((q, q, _TILE))
-    d, scale, total = np.zeros((q, _TILE)), np.zeros((q, _TILE)), np.zeros(_TILE)
-    for first in range(0, F, _TILE):
-        m = min(_TILE, F - first)
+    real, imag = np.zeros((q, q, TILE)), np.zeros((q, q, TILE))
+    L_real, L_imag = np.zeros((q, q, TILE)), np.zeros((q, q, TILE))
+    d, scale, total = np.zeros((q, TILE)), np.zeros((q, TILE)), np.zeros(TILE)
+    for first in range(0, F, TILE):
+        m = min(TILE, F - first)
         for e in range(q):
             for i in range(q):
                 for t in range(m):
