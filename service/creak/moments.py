@@ -8,6 +8,7 @@ lines at once. Hermitian matrices are packed as :mod:`creak.hermitian` has them.
 import numpy as np
 
 from creak.compiling import compiled, vectorised
+from creak.elimination import eliminate
 from creak.hermitian import TILE
 from creak.records import Complex, Real
 
@@ -32,8 +33,8 @@ def responses(spectra: Complex, q: int, S: Complex, condition: Real) -> None:
     n, _, F = S.shape
     w = q + n
     real, imag = np.zeros((q, w, TILE)), np.zeros((q, w, TILE))  # a row an experiment: sum_i U_i S_ji = Y_j
-    size, bound, larger = np.zeros(TILE), np.zeros(TILE), np.zeros(TILE)
-    inverse_real, inverse_imag = np.zeros(TILE), np.zeros(TILE)
+    size, bound, pivots = np.zeros(TILE), np.zeros(TILE), np.zeros((q, TILE))
+    larger, a, b = np.zeros(TILE), np.zeros(TILE), np.zeros(TILE)
     for first in range(0, F, TILE):
         m = min(TILE, F - first)
         for e in range(q):
@@ -57,34 +58,10 @@ def responses(spectra: Complex, q: int, S: Complex, condition: Real) -> None:
                     size[t] += real[e, i, t] * real[e, i, t] + imag[e, i, t] * imag[e, i, t]
         for t in range(m):
             size[t] = np.sqrt(size[t] / q)
+        eliminate(real, imag, pivots, larger, a, b)
         for k in range(q):
-            for e in range(k + 1, q):  # the largest pivot of each line comes up row by row
-                for t in range(m):
-                    here, there = abs(real[k, k, t]) + abs(imag[k, k, t]), abs(real[e, k, t]) + abs(imag[e, k, t])
-                    larger[t] = 1.0 if there > here else 0.0
-                for i in range(k, w):
-                    for t in range(m):
-                        a, b, c, d = real[k, i, t], real[e, i, t], imag[k, i, t], imag[e, i, t]
-                        real[k, i, t] = b if larger[t] > 0.0 else a
-                        real[e, i, t] = a if larger[t] > 0.0 else b
-                        imag[k, i, t] = d if larger[t] > 0.0 else c
-                        imag[e, i, t] = c if larger[t] > 0.0 else d
             for t in range(m):
-                power = real[k, k, t] * real[k, k, t] + imag[k, k, t] * imag[k, k, t]
-                bound[t] *= size[t] / np.sqrt(power)
-                inverse_real[t] = real[k, k, t] / power
-                inverse_imag[t] = -imag[k, k, t] / power
-            for i in range(k + 1, w):
-                for t in range(m):
-                    a, b = real[k, i, t], imag[k, i, t]
-                    real[k, i, t] = a * inverse_real[t] - b * inverse_imag[t]
-                    imag[k, i, t] = a * inverse_imag[t] + b * inverse_real[t]
-            for e in range(q):
-                if e != k:
-                    for i in range(k + 1, w):
-                        for t in range(m):
-                            real[e, i, t] -= real[e, k, t] * real[k, i, t] - imag[e, k, t] * imag[k, i, t]
-                            imag[e, i, t] -= real[e, k, t] * imag[k, i, t] + imag[e, k, t] * real[k, i, t]
+                bound[t] *= size[t] / np.sqrt(pivots[k, t])
         for t in range(m):
             condition[first + t] = bound[t] if bound[t] < np.inf else np.inf  # 0/0 at a line that is not driven
         for i in range(n):

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from creak.compiling import vectorised
+from creak.elimination import eliminate
 from creak.hermitian import TILE, load
 from creak.records import Complex, Real
 from creak.residuals import decompose
@@ -34,6 +35,7 @@ def pulls(S: Complex, inputs: Complex, pull: Complex) -> bool:
     n, _, F = S.shape
     w = 2 * n
     real, imag = np.zeros((n, w, TILE)), np.zeros((n, w, TILE))  # S beside the unit matrix
+    pivots = np.zeros((n, TILE))
     larger, a, b = np.zeros(TILE), np.zeros(TILE), np.zeros(TILE)
     for first in range(0, F, TILE):
         m = min(TILE, F - first)
@@ -45,36 +47,11 @@ def pulls(S: Complex, inputs: Complex, pull: Complex) -> bool:
                 for t in range(TILE):
                     real[i, n + j, t] = 1.0 if i == j else 0.0
                     imag[i, n + j, t] = 0.0
+        eliminate(real, imag, pivots, larger, a, b)
         for k in range(n):
-            for i in range(k + 1, n):  # the largest pivot of each line comes up row by row
-                for t in range(TILE):
-                    here, there = abs(real[k, k, t]) + abs(imag[k, k, t]), abs(real[i, k, t]) + abs(imag[i, k, t])
-                    larger[t] = 1.0 if there > here else 0.0
-                for j in range(k, w):
-                    for t in range(TILE):
-                        x, y, z, v = real[k, j, t], real[i, j, t], imag[k, j, t], imag[i, j, t]
-                        real[k, j, t] = y if larger[t] > 0.0 else x
-                        real[i, j, t] = x if larger[t] > 0.0 else y
-                        imag[k, j, t] = v if larger[t] > 0.0 else z
-                        imag[i, j, t] = z if larger[t] > 0.0 else v
             for t in range(m):
-                power = real[k, k, t] * real[k, k, t] + imag[k, k, t] * imag[k, k, t]
-                if not power > 0.0:
+                if not pivots[k, t] > 0.0:
                     return False
-                a[t] = real[k, k, t] / power
-                b[t] = -imag[k, k, t] / power
-            for j in range(k + 1, w):
-                for t in range(TILE):
-                    x, y = real[k, j, t], imag[k, j, t]
-                    real[k, j, t] = x * a[t] - y * b[t]
-                    imag[k, j, t] = x * b[t] + y * a[t]
-            for i in range(n):
-                if i != k:
-                    for j in range(k + 1, w):
-                        for t in range(TILE):
-                            x, y, z, v = real[i, k, t], imag[i, k, t], real[k, j, t], imag[k, j, t]
-                            real[i, j, t] -= x * z - y * v
-                            imag[i, j, t] -= x * v + y * z
         for i in range(n):
             for t in range(m):
                 x, y = real[i, n + i, t], imag[i, n + i, t]
