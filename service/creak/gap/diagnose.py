@@ -19,7 +19,8 @@ from creak.gap.refine import FINE, Refined, conclude, refine
 from creak.gap.regression import Indices
 from creak.gap.search import Search
 from creak.gap.setting import Setting
-from creak.gap.verdict import CLOSED, WITHIN_DB, as_causes, as_corrections, judge, probabilities
+from creak.gap.standing import standing, unsettled
+from creak.gap.verdict import as_causes, as_corrections, judge, probabilities
 from creak.gap.view import check_stable, hold_factor, lines_of
 from creak.mechanics.structure import Matrices
 from creak.mechanics.system import Model, assemble
@@ -174,10 +175,20 @@ def _concluded(
             final = None
     gap = gap_levels(before, after, gap=True)
     verdict = judge(gap, final.hypothesis if final else None)
+    supposed = final.hypothesis if final and verdict is not Verdict.UNKNOWN else Hypothesis()
+    if final is not None and verdict is Verdict.PARTLY_EXPLAINED and not gap.closes:
+        stands = standing(search, final)
+        if stands.unsettled:
+            notes += unsettled(stands.unsettled)
+            final, searched = stands.refined, replace(searched, ranked=searched.ranked[:1])
+            after = level(data, setting.simulate(final.hypothesis, shown).y, shown)
+            gap = gap_levels(before, after, gap=True)
+            verdict = judge(gap, final.hypothesis)
     chances, unknown = probabilities(search, searched)
     if verdict is Verdict.UNKNOWN or final is None:
         gap = gap_levels(before, before, gap=True)
-        where = missing_force(setting, Hypothesis(), searched.places, halves.fitted)
+        acting = replace(supposed, linear=()) if as_corrections(supposed) else supposed
+        where = missing_force(setting, acting, searched.places, halves.fitted)
         return replace(
             result,
             verdict=Verdict.UNKNOWN,
@@ -191,7 +202,7 @@ def _concluded(
     named = as_causes(setting, final, searched, chances, halves.fitted, shown, gap)
     shared = shared_errors(model, data, len(halves.fitted))
     corrected = apply(model, final.hypothesis)
-    where, seen, shown_there = _where(setting, final.hypothesis, searched, halves)
+    where, seen, shown_there = _where(setting, final.hypothesis, supposed, searched, halves)
     where = _in_order(where, named.causes)
     progress("done", 1.0)
     return replace(
@@ -226,13 +237,17 @@ def _in_order(where: Sequence[MissingForce], causes: Sequence[Cause]) -> tuple[M
 
 
 def _where(
-    setting: Setting, hypothesis: Hypothesis, searched: Searched, halves: _Halves
+    setting: Setting, hypothesis: Hypothesis, supposed: Hypothesis, searched: Searched, halves: _Halves
 ) -> tuple[tuple[MissingForce, ...], Setting, Hypothesis]:
-    """Places of the effects; linear corrections beside them are in the model that they are seen through."""
-    if hypothesis.effects and as_corrections(hypothesis):
-        corrected = apply(setting.model, Hypothesis(linear=hypothesis.linear))
-        setting, hypothesis = replace(setting, model=corrected), replace(hypothesis, linear=())
-    return missing_force(setting, hypothesis, searched.places, halves.fitted), setting, hypothesis
+    """Places of the effects, and of those that were supposed and are not claimed.
+
+    Linear corrections beside them are in the model that they are seen through.
+    """
+    if supposed.effects and as_corrections(supposed):
+        corrected = apply(setting.model, Hypothesis(linear=supposed.linear))
+        setting = replace(setting, model=corrected)
+        hypothesis, supposed = replace(hypothesis, linear=()), replace(supposed, linear=())
+    return missing_force(setting, supposed, searched.places, halves.fitted), setting, hypothesis
 
 
 def _final(setting: Setting, refined: Refined, halves: _Halves) -> Refined:
@@ -321,7 +336,7 @@ def validate(rig: Rig, model: Model, diagnosis: Diagnosis, other: PeriodicData) 
         return Validation(holds, gap, nodes, {}, f"Nothing was put into the model; it {state}.")
     if not new.settled:
         return Validation(False, gap, nodes, {}, "The corrected model does not settle at the other inputs.")
-    holds = (gap.closed or 0.0) >= CLOSED and gap.after_db <= gap.noise_db + WITHIN_DB
+    holds = gap.closes
     if holds:
         return Validation(True, gap, nodes, {}, f"The model with {named} holds in the other recording.")
     refitted = _refitted(setting, diagnosis, other)

@@ -3,13 +3,19 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Literal
+from typing import Final, Literal
 
 from creak.mechanics.system import Model
 from creak.records import Real
 
 Pattern = Literal["ground", "edge", "actuator", "sensor"]
 """How the missing force spreads over the nodes: node to ground, between two nodes, at an input, at a response."""
+
+
+CLOSED: Final = 0.995
+"""Share of a gap that is closed at least where it is closed to noise."""
+WITHIN_DB: Final = 1.0
+"""Above noise, at most, where a gap is closed to it."""
 
 
 class Verdict(StrEnum):
@@ -37,6 +43,11 @@ class GapLevels:
     after_db: float
     noise_db: float
     closed: float | None
+
+    @property
+    def closes(self) -> bool:
+        """Whether it is closed to noise."""
+        return (self.closed or 0.0) >= CLOSED and self.after_db <= self.noise_db + WITHIN_DB
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,6 @@ from creak.gap.search import FLOOR, MOST_EFFECTS, Search
 from creak.gap.setting import Setting
 from creak.mechanics.effects import Effect
 
-CLOSED: Final = 0.995
-WITHIN_DB: Final = 1.0
 HALF: Final = 0.5
 MOST_AT_ONE_PLACE: Final = 2
 _ORDERED: Final = 6  # experiments by which effects are put in order of importance
@@ -41,7 +39,7 @@ def judge(gap: GapLevels, hypothesis: Hypothesis | None) -> Verdict:
         places += [frozenset(at) for (_, at), _ in hypothesis.linear]
     crowded = any(places.count(place) > MOST_AT_ONE_PLACE for place in places)
     few = len(places) <= MOST_EFFECTS and not crowded
-    if gap.closed >= CLOSED and gap.after_db <= gap.noise_db + WITHIN_DB and few:
+    if gap.closes and few:
         return Verdict.EXPLAINED
     if gap.closed >= HALF:
         return Verdict.PARTLY_EXPLAINED

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping
 
-from creak.gap.records import Cause, Diagnosis, LinearCorrection, MissingForce, NodeGap, Verdict
+from creak.gap.records import Cause, Diagnosis, GapLevels, LinearCorrection, MissingForce, NodeGap, Verdict
 from creak.mechanics.effects import GROUND
 
 _PHRASES: Mapping[str, str] = {
@@ -87,11 +87,18 @@ def summary(diagnosis: Diagnosis) -> list[str]:
             sentences.append(
                 f"{_listed(_named(diagnosis))} {'closes' if _single(diagnosis) else 'close'} "
                 f"{percent(gap.closed)} of it, down to {gap.after_db:.1f} dB; "
-                f"noise is {gap.noise_db:.1f} dB, so something else is missing, or it is not quite this."
+                f"noise is {gap.noise_db:.1f} dB, {_reservation(gap)}."
             )
         case Verdict.UNKNOWN:
             sentences.append("No effect of the vocabulary explains it, so none is named.")
     return sentences
+
+
+def _reservation(gap: GapLevels) -> str:
+    """Why a gap is not called explained."""
+    if gap.closes:
+        return "but more than three effects, or two at one place, may stand for others: it is not called explained"
+    return "so something else is missing, or it is not quite this"
 
 
 def effect_phrase(effect: str, at: tuple[str, ...]) -> str:
