@@ -8,8 +8,16 @@ from creak.gap.records import Verdict
 from creak.gap.scan import Scan
 from creak.gap.together import Together, moved, opened, spot_sets
 from creak.gap.view import see
-from creak.mechanics.effects import Clearance, CoulombFriction, CubicStiffness, Hysteresis, OneSidedStop
-from creak.mechanics.electronics import ActuatorSaturation, SensorClipping
+from creak.mechanics.effects import (
+    Clearance,
+    CoulombFriction,
+    CubicStiffness,
+    Hysteresis,
+    OneSidedStop,
+    QuadraticDamping,
+)
+from creak.mechanics.electronics import ActuatorDeadZone, ActuatorSaturation, SensorClipping
+from creak.report.words import summary
 from gap_recordings import CHAIN, RIG, recording
 
 CUBIC = CubicStiffness(("2", "ground"), 2e8)
@@ -69,6 +77,11 @@ def test_places_that_make_the_same_forces_all_compete():
             CubicStiffness(("2", "ground"), 3e8),
             ActuatorSaturation(("1",), 70.0),
         ),
+        (
+            CubicStiffness(("1", "ground"), 1e7),
+            ActuatorDeadZone(("2",), 6.0),
+            ActuatorSaturation(("2",), 60.0),
+        ),
     ],
     ids=lambda effects: "-".join(effect.effect for effect in effects),
 )
@@ -79,3 +92,17 @@ def test_all_are_named_and_none_is_invented(effects):
     assert {(cause.effect, frozenset(cause.at)) for cause in found.causes} == {
         (effect.effect, frozenset(effect.at)) for effect in effects
     }
+
+
+def test_three_laws_at_one_place_are_named_though_not_called_explained():
+    """Kills a damper in the stead of friction beside two other laws, and the search that stops at two."""
+    effects = (
+        CoulombFriction(("1", "ground"), 5.0, 0.02),
+        Hysteresis(("1", "ground"), 2e4, 3e-4),
+        QuadraticDamping(("1", "ground"), 20.0),
+    )
+    found = diagnose(RIG, CHAIN, recording(effects))
+    assert found.verdict is Verdict.PARTLY_EXPLAINED
+    assert found.gap.after_db == pytest.approx(found.gap.noise_db, abs=1.0)
+    assert {cause.effect for cause in found.causes} == {effect.effect for effect in effects}
+    assert any("two at one place" in line for line in summary(found))

@@ -1,11 +1,10 @@
 """Ranking by regression: places by a free force, then the laws that compete there.
 
-They compete alone, in pairs, beside linear elements, or in place of an effect that the model has.
+They compete alone, beside linear elements, or in place of an effect that the model has.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,6 @@ from creak.records import Real
 
 _FAILED = 2.0  # whitened power beyond which a law has not explained a place, and a hidden mode is tried there
 _MEANS = 8  # turns in which an even law and the mean that it makes are found
-_ONCE = 12  # pairs of laws that are given one turn, for every one that is given more
-_TURNS = 4  # at most
 _SMALL = 6  # experiments on which inner parameters are searched
 
 
@@ -64,7 +61,7 @@ class Scan:
         self.sums = Sums(view, fitted, held)
         few = fitted[:_SMALL]
         self.few = few
-        self._small = Sums(view, few, few[:0])
+        self.small = Sums(view, few, few[:0])
         self._single = Sums(view, few[:1], few[:0])
         self.all = np.arange(len(view.r))
 
@@ -140,7 +137,7 @@ class Scan:
         for candidate in candidates_at(group, at):
             if kinds is not None and candidate.kind not in kinds:
                 continue
-            if candidate.kind in LINEAR and (free.any() or _massless(candidate)):
+            if candidate.kind in LINEAR and (free.any() or massless(candidate)):
                 continue
             found.append(self.trial(candidate, free, beside))
         if (
@@ -164,7 +161,7 @@ class Scan:
         ):  # its score is rough: one experiment finds the step, then the rest
             along, few = self._single.along(candidate.pattern(self.view), free, beside), self.few[:1]
         else:
-            along, few = self._small.along(candidate.pattern(self.view), free, beside), self.few
+            along, few = self.small.along(candidate.pattern(self.view), free, beside), self.few
         inner = optimise(candidate, self.view, few, lambda phi, fixed: along.left(phi, fixed=fixed))
         column = candidate.column(self.view, inner, self.all)
         fit = self.sums.fit([*beside, column], free)
@@ -206,36 +203,6 @@ class Scan:
         """Linear element by its index."""
         return self.sums.elements[i]
 
-    def pairs(self, pairs: Sequence[tuple[Trial, Trial]], free: NDArray[np.bool_], most: int) -> list[Found]:
-        """Pairs of trials fitted jointly; the best of them with their inner parameters optimised in turn."""
-        found = [self.hypothesis(pair, free) for pair in self.paired(pairs, free, most)]
-        return sorted(found, key=lambda item: item.rest)
-
-    def paired(
-        self, pairs: Sequence[tuple[Trial, Trial]], free: NDArray[np.bool_], most: int
-    ) -> list[tuple[Trial, Trial]]:
-        """The best pairs of trials, fitted jointly, their inner parameters optimised in turn, the best first.
-
-        Laws whose inner parameters were found alone may fit badly together and be right, so many get one turn.
-        """
-        rough = [(self._small.fit([one.column, other.column], free).left, one, other) for one, other in pairs]
-        rough.sort(key=_rest)
-        once = [self._turn(pair[1:], free) for pair in rough[: _ONCE * most]]
-        found = []
-        for first in sorted(once, key=_rest_of_pair)[:most]:
-            pair, before = self._turn(first, free), _rest_of_pair(first)
-            for _ in range(_TURNS):
-                if _rest_of_pair(pair) > 0.99 * before:
-                    break
-                pair, before = self._turn(pair, free), _rest_of_pair(pair)
-            found.append(pair)
-        return sorted(found, key=_rest_of_pair)
-
-    def _turn(self, pair: tuple[Trial, Trial], free: NDArray[np.bool_]) -> tuple[Trial, Trial]:
-        """Inner parameters of a pair optimised once each."""
-        one = self.trial(pair[0].candidate, free, [pair[1].column])
-        return one, self.trial(pair[1].candidate, free, [one.column])
-
     def pruned(self, trials: Sequence[Trial], free: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
         """Linear elements that matter: the one that costs least is dropped until every one costs ``least``.
 
@@ -273,20 +240,9 @@ def _rest(item: tuple[Any, ...]) -> float:
     return float(item[0])
 
 
-def _rest_of_pair(pair: tuple[Trial, Trial]) -> float:
-    """What a pair leaves: as its second law has it, which was fitted beside the first."""
-    return pair[1].rest
-
-
-def _massless(candidate: Candidate) -> bool:
+def massless(candidate: Candidate) -> bool:
+    """Whether it is a mass between two nodes, which is none."""
     return candidate.kind.effect == "mass" and candidate.at[1] != GROUND
-
-
-def combos(first: Sequence[Trial], second: Sequence[Trial], most: int) -> list[tuple[Trial, Trial]]:
-    """Pairs of the better trials of two places, or of one."""
-    if first is second:
-        return list(combinations(first[:most], 2))
-    return [(a, b) for a in first[:most] for b in second[:most]]
 
 
 def replacement(scan: Scan, effect: Effect, index: int) -> Found:

@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from creak.gap import several
 from creak.gap.beside import HOPELESS, MANY, ONE_PLACE, PLACES, BesideLinear
+from creak.gap.combinations import Combinations
 from creak.gap.growth import grown
 from creak.gap.hypothesis import Hypothesis, apply, own_elements, plausible
 from creak.gap.ranking import Ranked, Searched, significant
 from creak.gap.refine import Refined, refine
 from creak.gap.regression import Indices
-from creak.gap.scan import Found, Scan, Trial, combos, replacement
+from creak.gap.scan import Found, Place, Scan, Trial, replacement
 from creak.gap.setting import Setting
 from creak.gap.together import Together
 from creak.gap.view import see
@@ -28,6 +29,8 @@ MOST_EFFECTS = 3
 IDLE = 15.0  # twice the log likelihood, less what its parameters cost, that an effect must bring beside others
 _FEW = 4  # experiments on which hypotheses compete
 _SCANNED = 12  # experiments on which regressions are taken
+_PAIRED = 8  # places among which two laws are looked for
+_LAWS = 5  # pairs of them that are optimised to the end
 _COMPETING = 4  # best regressions that are fitted to the output
 
 
@@ -208,14 +211,14 @@ class Search:
         one_place: bool,
     ) -> list[Found]:
         """Two effects: at one place, and unless there is but one at the best pairs of places."""
-        found: list[Found] = []
         known = dict(trials)
 
-        def at_place(group: str, at: tuple[str, ...]) -> list[Trial]:
-            if at not in known:
-                self.step()
-                known[at] = scan.trials(group, at, free)
-            return known[at]
+        def alone(some: Sequence[Place]) -> list[Trial]:
+            for group, at in some:
+                if at not in known:
+                    self.step()
+                    known[at] = scan.trials(group, at, free)
+            return [trial for _, at in some for trial in known[at]]
 
         ranked = [] if one_place or self.setting.rig.n < 3 else scan.place_pairs()
         if self.setting.rig.n == 2:  # two free forces leave nothing, so every pair is as good as the better place
@@ -225,26 +228,21 @@ class Search:
                 for first in places[:i]
                 if not one_place
             ]
-        pairs: list[tuple[Trial, Trial]] = []
-        for _, first, second in ranked[:6]:
-            pairs += combos(at_place(*first), at_place(*second), 20)
-        for _, group, at in places[:2]:
-            own = at_place(group, at)
-            pairs += combos(own, own, 20)
-        # An actuator and an element between its node and the ground are two places of one pattern.
-        alike = [(group, at) for rest, group, at in places if rest <= 1.02 * places[0][0] + 0.02][:3]
-        for i, first in enumerate(alike):
-            for second in alike[:i]:
-                pairs += combos(at_place(*first), at_place(*second), 20)
-        found += scan.pairs(pairs, free, 5)
-        return found
+        both = list(dict.fromkeys(place for pair in ranked for place in pair[1:]))[:_PAIRED]
+        spots: list[Sequence[Place]] = [both, _alike(places), [places[1][1:]]]
+        sets = [
+            found for some in spots if some for found in Combinations(scan, some, free, alone(some)).best(2, _LAWS)
+        ]
+        return [scan.hypothesis(item, free) for item in several.distinct(sets)]
 
     def _several(self, base: Scan, *, one_place: bool) -> tuple[Ranked, ...]:
         """Two or three effects at any places, two at one; alone, then beside the model's own linear elements."""
         best: tuple[Ranked, ...] = ()
-        for free in [base.none, self.own] if self.own.any() and not one_place else [base.none]:
+        if one_place:
+            return self._three_at_one_place(base)
+        for free in [base.none, self.own] if self.own.any() else [base.none]:
             sets: list[several.Set] = [()]
-            for size in range(1, (2 if one_place else MOST_EFFECTS) + 1):
+            for size in range(1, MOST_EFFECTS + 1):
                 low = 0.7 + 0.02 * size + 0.06 * bool(free.any())
                 self._begin(f"{size} effects{' beside linear elements' if free.any() else ''}", low, low + 0.02)
                 sets = several.grown(base, sets, free)
@@ -255,6 +253,15 @@ class Search:
                     return stage
                 best = (*best, *stage)
         return tuple(sorted(best, key=lambda item: item.score))
+
+    def _three_at_one_place(self, scan: Scan) -> tuple[Ranked, ...]:
+        """Three laws where all that is missing acts at one place."""
+        self._begin("three effects", 0.7, 0.8)
+        alike = _alike(scan.places(scan.none))
+        alone = [trial for place in alike for trial in scan.trials(*place, scan.none)]
+        return self.compete(
+            several.hypotheses(scan, Combinations(scan, alike, scan.none, alone).best(3, 4), scan.none)
+        )
 
     def compete(self, found: Sequence[Found]) -> tuple[Ranked, ...]:
         """Fit the better regressions to the output and rank them by the Bayesian information criterion."""
@@ -294,6 +301,11 @@ def spread(experiments: Indices, most: int) -> Indices:
     if len(experiments) <= most:
         return experiments
     return np.asarray(experiments[np.linspace(0, len(experiments) - 1, most).astype(np.int64)])
+
+
+def _alike(places: Sequence[tuple[float, str, tuple[str, ...]]]) -> list[Place]:
+    """Places as good as the best: an actuator and an element from its node to the ground are of one pattern."""
+    return [place[1:] for place in places if place[0] <= 1.02 * places[0][0] + 0.02][:3]
 
 
 def _worth(

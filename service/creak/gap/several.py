@@ -33,7 +33,7 @@ def grown(scan: Scan, sets: Sequence[Set], free: NDArray[np.bool_]) -> list[Set]
         Linear elements fitted beside them.
     """
     found = [(*have, more) for have in sets for more in _further(scan, have, free)]
-    found = _distinct(sorted(found, key=lambda item: item[-1].rest))[:_WIDE]
+    found = distinct(sorted(found, key=lambda item: item[-1].rest))[:_WIDE]
     polished = sorted((polish(scan, item, free) for item in found), key=rest)
     if polished and len(polished[0]) > 1 and rest(polished[0]) > _ENOUGH:
         polished = sorted([swapped(scan, polished[0], free), *polished[1:]], key=rest)
@@ -51,13 +51,19 @@ def polish(scan: Scan, trials: Set, free: NDArray[np.bool_]) -> Set:
         return trials
     for _ in range(_TURNS):
         before = rest(trials)
-        for i in range(len(trials)):
-            others = [trial.column for j, trial in enumerate(trials) if j != i]
-            trial = scan.trial(trials[i].candidate, free, others)
-            if trial.rest < rest(trials):
-                trials = (*trials[:i], trial, *trials[i + 1 :])
+        trials = turn(scan, trials, free)
         if rest(trials) > 0.99 * before:
             break
+    return trials
+
+
+def turn(scan: Scan, trials: Set, free: NDArray[np.bool_]) -> Set:
+    """Search the inner parameters of a set once each."""
+    for i in range(len(trials)):
+        others = [trial.column for j, trial in enumerate(trials) if j != i]
+        trial = scan.trial(trials[i].candidate, free, others)
+        if trial.rest < rest(trials):
+            trials = (*trials[:i], trial, *trials[i + 1 :])
     return trials
 
 
@@ -96,7 +102,8 @@ def _further(scan: Scan, have: Set, free: NDArray[np.bool_]) -> list[Trial]:
     return sorted(found, key=lambda trial: trial.rest)
 
 
-def _distinct(sets: Sequence[Set]) -> list[Set]:
+def distinct(sets: Sequence[Set]) -> list[Set]:
+    """Sets of different laws or places; of those alike the first."""
     kept: dict[frozenset[object], Set] = {}
     for trials in sets:
         kept.setdefault(frozenset((t.candidate.kind, t.candidate.at) for t in trials), trials)

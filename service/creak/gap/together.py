@@ -12,7 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from creak.gap.scan import Found, Place, Scan, Trial, combos
+from creak.gap.combinations import Combinations
+from creak.gap.scan import Found, Place, Scan, Trial
 from creak.gap.view import View, samples_of
 from creak.records import Complex, Real
 
@@ -23,7 +24,6 @@ _ALIKE = 1e-3  # part of a pattern beyond those of other places, below which it 
 _CLEAR = 4.0  # power over noise beyond which a line of a force moves the nodes
 _FAILED = 5.0  # what a law leaves that has not explained its place,
 _HOPELESS = 5e-3  # and of what was there
-_PAIRED = 12  # laws of a place that are tried two at a time
 _LAWS = 3  # of a place that go on
 _JOINT = 6  # combinations of them that are fitted, of a set
 
@@ -79,7 +79,7 @@ class Together:
             single = sorted((trial for trial in single if np.isfinite(trial.rest)), key=lambda trial: trial.rest)
             laws: list[Laws] = [(trial,) for trial in single[:_LAWS]]
             if double:
-                laws = list(alone.paired(combos(single, single, _PAIRED), alone.none, _LAWS))
+                laws = list(Combinations(alone, spot, alone.none, single).best(2, _LAWS))
             bound = max(_FAILED, _HOPELESS * alone.rest())
             self._known[key] = sorted((item for item in laws if _rest(item) < bound), key=_rest)
         return self._known[key]
