@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from creak.assembly import Assembler, Part
 from creak.counters import Placed, Resumed, Tracker
+from creak.periods import Assembler, Part
 from creak.records import Fault, FaultKind, Frame, Run
 from creak.sources.can_frames import EXTENDED, CanFrames, checksums_agree
 from creak.sources.can_mapping import CanMapping, MappedPart
