@@ -57,7 +57,7 @@ def test_a_rate_that_the_bus_cannot_carry_is_refused_with_how_much(tmp_path):
             "source.channel: 'can97' of socketcan cannot be opened",
         ),
         ('interface = "carrier"\nchannel = "x"', "rigs[0].source.interface: 'carrier' is not allowed"),
-        ('channel = "x"', "rigs[0].source.can: interface: give either"),
+        ('channel = "x"', "rigs[0].source: interface: give either"),
         ('logs = ["no.blf"]', "no.blf: cannot be read: No such file or directory"),
         ('logs = ["no.csv"]', "no.csv: suffix .csv, expected one of .blf"),
     ],

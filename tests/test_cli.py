@@ -118,6 +118,8 @@ SIMULATE = ["simulate", "--model", "model.toml", "--rig", "rig.toml", "--output"
         (["replay", "nowhere.mcap"], ["nowhere.mcap"]),
         (["replay", "rig.toml"], ["rig.toml"]),
         (["serve", "nowhere.toml"], ["nowhere.toml", "cannot be read"]),
+        ([*SIMULATE, "--seed", str(2**63)], ["--seed", str(2**63)]),
+        ([*SIMULATE, "--realisations", str(10**12)], ["--realisations", str(10**12)]),
         ([*SIMULATE, "--rms", "much"], ["--rms", "number"]),
         ([*SIMULATE, "--rms", "-1"], ["--rms", "-1"]),
         ([*SIMULATE, "--snr-db", "nan"], ["--snr-db", "nan"]),
@@ -157,6 +159,57 @@ def test_a_rig_that_does_not_fit_the_model_is_refused(small, capsys, old, new, w
     assert line.count("\n") == 1
     for word in words:
         assert word in line
+
+
+SERVED = """
+[[rigs]]
+rig = "rig.toml"
+model = "model.toml"
+[rigs.source]
+kind = "recording"
+files = ["x.mcap"]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"rig.toml"', '"no.toml"', ["creak.toml: rigs[0].rig", "no.toml"]),
+        ('"model.toml"', '"no.toml"', ["creak.toml: rigs[0].model", "no.toml"]),
+        ('"model.toml"', '"rig.toml"', ["rig.toml: kind", "missing"]),
+        ('"x.mcap"', '"no.mcap"', ["creak.toml: rigs[0].source.files[0]", "no.mcap"]),
+    ],
+)
+def test_a_file_that_a_service_file_names_is_looked_for_at_once(small, capsys, old, new, words):
+    """Kills a model that is found missing at the first diagnosis."""
+    assert run([*SIMULATE, "--realisations", "1"]) == 0
+    capsys.readouterr()
+    (small / "creak.toml").write_text(SERVED.replace(old, new, 1))
+    assert run(["serve", "creak.toml"]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    for word in words:
+        assert word in line
+
+
+def test_no_command_is_told_so(capsys):
+    assert run([]) == 2
+    captured = capsys.readouterr()
+    assert "simulate" in captured.out
+    assert captured.err == "creak: a command is missing; those above are allowed\n"
+
+
+def test_an_ascii_terminal_gets_its_tables(small):
+    """Kills the traceback of a character that the terminal's encoding lacks."""
+    assert run([*SIMULATE, "--realisations", "2", "--snr-db", "40"]) == 0
+    told = subprocess.run(
+        [sys.executable, "-m", "creak", "replay", "x.mcap"],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        check=False,
+    )
+    assert (told.returncode, told.stderr) == (0, b"")
+    assert b"8 frames of 2 realisations" in told.stdout
 
 
 def test_a_failed_run_leaves_no_recording(small, capsys):

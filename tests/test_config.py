@@ -62,8 +62,12 @@ def test_the_rig_of_the_contract():
         ('output = "m/s"', "", ["nodes[1].output", "is missing"]),
         ('output = "m/s"', 'output = "m/s"\nunit = "m"', ["nodes[1].unit", "not a known key"]),
         ("band = [5.0, 100.0]", "lines = [9, 10]", ["lines", "grid"]),
-        ('band = [5.0, 100.0]\ngrid = "full"', "lines = [10, 9]", ["lines", "rise"]),
-        ('band = [5.0, 100.0]\ngrid = "full"', "lines = [4096]", ["lines", "4095"]),
+        ('band = [5.0, 100.0]\ngrid = "full"', "lines = [10, 9]", ["lines", "9", "rise"]),
+        ('band = [5.0, 100.0]\ngrid = "full"', "lines = [9, 4096]", ["lines", "[4096]", "4095"]),
+        ("sample_rate = 5000.0", "sample_rate = true", ["sample_rate", "True", "number"]),
+        ("sample_rate = 5000.0", 'sample_rate = "5000"', ["sample_rate", "'5000'", "number"]),
+        ("sample_rate = 5000.0", "sample_rate = 1e-9", ["sample_rate", "1e-09", "longer"]),
+        ("8192", "99999999999999999999", ["period_samples", "99999999999999999999", "16777216"]),
         ("[[nodes]]", "[[nodes]", ["TOML", "line"]),
     ],
 )
@@ -160,6 +164,7 @@ def test_the_environment_overrides_the_file(service_file, monkeypatch):
         ("CREAK_SERVER__PORT", "eighty", ["CREAK_SERVER__PORT", "server.port", "eighty"]),
         ("CREAK_SERVER__PRT", "1", ["CREAK_SERVER__PRT", "server.prt", "not a known key"]),
         ("CREAK_WEBHOOKS__ALLOW", '["here"]', ["CREAK_WEBHOOKS__ALLOW", "here"]),
+        ("CREAK_WEBHOOKS__ALLOW", "here", ["CREAK_WEBHOOKS__ALLOW", "webhooks.allow", "'here'", "JSON"]),
     ],
 )
 def test_a_wrong_variable_is_named(service_file, monkeypatch, variable, value, words):
@@ -174,7 +179,9 @@ def test_a_wrong_variable_is_named(service_file, monkeypatch, variable, value, w
     ("old", "new", "words"),
     [
         ("port = 8300", "port = 83000", ["server.port", "83000", "65535"]),
-        ('kind = "simulated"', 'kind = "simulatd"', ["rigs[0].source", "simulatd", "simulated"]),
+        ('kind = "simulated"', 'kind = "simulatd"', ["rigs[0].source.kind: 'simulatd'", "'simulated'"]),
+        ('kind = "simulated"', 'kind = "simulated"\npace = -2', ["rigs[0].source.pace: -2", "greater than 0"]),
+        ('kind = "simulated"', 'kind = "recording"\nfiles = []', ["rigs[0].source.files: [] is", "should have"]),
         ('kind = "simulated"', 'kind = "stream"\npace = 2', ["pace", "not a known key"]),
         ('data = "var"', 'data = "var"\nstream = {url = "http://here"}', ["stream.url", "http://here", "nats"]),
         ('data = "var"', 'data = "var"\nstream = {name = "a.b"}', ["stream.name", "a.b"]),

@@ -1,5 +1,6 @@
 """The command ``creak``."""
 
+import io
 import sys
 from collections.abc import Sequence
 
@@ -41,13 +42,16 @@ def run(arguments: Sequence[str] | None = None) -> int:
     try:
         code = app(args=arguments, standalone_mode=False)
     except _UsageError as error:
-        return _say(_one_line(str(getattr(error, "format_message", error.__str__)())), 2)
+        line = _one_line(str(getattr(error, "format_message", error.__str__)()))
+        return _say(line or "a command is missing; those above are allowed", 2)  # no line: help has been shown
     except InputError as error:
         return _say(_one_line(str(error)), 2)
     except CreakError as error:
         return _say(_one_line(str(error)), 1)
     except (KeyboardInterrupt, typer.Abort):
         return _say("interrupted", 130)
+    except MemoryError as error:
+        return _say(_one_line(f"there is not enough memory: {error}".rstrip(": ")), 1)
     except BrokenPipeError:
         sys.stderr.close()  # whoever read our output has gone; there is nobody to tell
         return 1
@@ -59,6 +63,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def main() -> None:
     """Entry point of the command."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal of ASCII shows no boxes, but must not end a command
     sys.exit(run())
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from creak.cli.recordings import RigFile, whole_file
+from creak.cli.recordings import RigFile, check_numbers, whole_file
 from creak.config.rig import load_rig
 from creak.config.spectrum import load_spectrum
 from creak.crest import crest_factor
@@ -50,11 +50,7 @@ def excitation(
 
     Example: `creak excitation --rig rig.toml --realisations 10 --rms 50 --seed 1 --output multisines.npz`
     """
-    for option, number, least in (("realisations", realisations, 1), ("seed", seed, 0), ("periods", periods, 1)):
-        if number < least:
-            raise InputError(f"--{option}: {number} is not allowed: should be a whole number of at least {least}")
-    if not (0 < rms < float("inf")):
-        raise InputError(f"--rms: {rms} is not allowed: should be a number above 0")
+    check_numbers(rms, seed, {"realisations": realisations, "periods": periods})
     write = _WRITERS.get(output.suffix.lower())
     if write is None:
         raise InputError(f"--output: {output}: should end in one of {', '.join(_WRITERS)}")

@@ -102,10 +102,10 @@ def analyse(config: Annotated[Path, typer.Argument(help="Service file (creak.tom
         if not isinstance(table.source, StreamSource):
             key = f"rigs[{index}].source.kind"
             raise ConfigurationError(
-                str(config), key, f"{table.source.kind!r} is what a worker measures; 'stream'"
+                str(config), key, f"{table.source.kind!r} is what a worker measures; an analyser takes 'stream'"
             )
     plans = [plan_of(table, rig) for table, rig in zip(settings.rigs, rigs, strict=True)]
-    store = open_store(settings.store_url, source="configuration", key="store.url")
+    store = open_store(settings.store_url, source=str(config), key="store.url")
     signal.signal(signal.SIGTERM, _interrupt)
     try:
         broker = _broker(settings.stream)

@@ -3,7 +3,7 @@
 import json
 import os
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from operator import add
@@ -27,6 +27,7 @@ from creak.sources.recording import recordings
 from creak.worker import drive
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Recording to write (.mcap).")]
+_MOST = 10**6  # realisations or periods of one command: more is a slip of the keyboard
 RigFile = Annotated[Path, typer.Option("--rig", help="Rig file (rig.toml).")]
 
 
@@ -59,15 +60,7 @@ def simulate(
     from creak.config.model import load_model
     from creak.sources.simulated import SimulatedRig
 
-    for option, number, least in (
-        ("realisations", realisations, 1),
-        ("seed", seed, 0),
-        ("steady-periods", steady_periods, 1),
-    ):
-        if number < least:
-            raise InputError(f"--{option}: {number} is not allowed: should be a whole number of at least {least}")
-    if not (0 < rms < float("inf")):
-        raise InputError(f"--rms: {rms} is not allowed: should be a number above 0")
+    check_numbers(rms, seed, {"realisations": realisations, "steady-periods": steady_periods})
     if snr_db is not None and not abs(snr_db) < 1000:
         raise InputError(f"--snr-db: {snr_db} is not allowed: should be a number of decibels")
     measured = load_rig(rig)
@@ -261,6 +254,17 @@ def whole_file(output: Path, option: str = "--output") -> Iterator[Path]:
         os.replace(unfinished, output)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def check_numbers(rms: float, seed: int, counts: Mapping[str, int]) -> None:
+    """Refuse what no excitation can be made of; counts by the name of their option."""
+    for option, count in counts.items():
+        if not 1 <= count <= _MOST:
+            raise InputError(f"--{option}: {count} is not allowed: should be a whole number from 1 to {_MOST}")
+    if not 0 <= seed < 2**63:
+        raise InputError(f"--seed: {seed} is not allowed: should be a whole number from 0 to 2^63 - 1")
+    if not 0 < rms < float("inf"):
+        raise InputError(f"--rms: {rms} is not allowed: should be a number above 0")
 
 
 def _start(text: str) -> int:

@@ -91,7 +91,7 @@ def serve(
             else:
                 sources.append(open_source(table, rig, str(config), f"rigs[{index}].source"))
     with closing(listen_on(settings.server.host, settings.server.port)) as listener:
-        return _run(settings, rigs, sources, listener, [[] for _ in sources], plans)
+        return _run(settings, str(config), rigs, sources, listener, [[] for _ in sources], plans)
 
 
 def demo(
@@ -124,7 +124,7 @@ def demo(
                 "end": "Ctrl-C",
             },
         )
-        return _run(settings, [rig], [source], listener, [[display, _IntoThePresent(source)]])
+        return _run(settings, "demo", [rig], [source], listener, [[display, _IntoThePresent(source)]])
 
 
 def _demo_settings(example: Path, port: int | None, output: Path | None) -> ServiceSettings:
@@ -183,6 +183,7 @@ def _empty_store(settings: ServiceSettings) -> None:
 
 def _run(
     settings: ServiceSettings,
+    file: str,
     rigs: Sequence[Rig],
     sources: Sequence[Source],
     listener: socket.socket,
@@ -193,7 +194,7 @@ def _run(
     make_folder(settings.data)
     prepare_loops()
     signal.signal(signal.SIGTERM, _interrupt)
-    store = open_store(settings.store_url, source="configuration", key="store.url")
+    store = open_store(settings.store_url, source=file, key="store.url")
     limits = settings.recording
     recorders = [
         Recorder(settings.data, max_bytes=limits.max_bytes, max_seconds=limits.max_seconds) for _ in sources

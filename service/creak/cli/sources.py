@@ -21,6 +21,8 @@ from creak.sources.simulated import SimulatedRig
 
 def named_rigs(settings: ServiceSettings, file: str) -> list[Rig]:
     """Load the rigs of a service file, which have unique names."""
+    for index, table in enumerate(settings.rigs):
+        _require(table.rig, file, f"rigs[{index}].rig")
     rigs = [load_rig(table.rig) for table in settings.rigs]
     names = [rig.name for rig in rigs]
     for index, name in enumerate(names):
@@ -45,6 +47,9 @@ def make_folder(path: Path) -> None:
 
 def open_source(table: RigTable, rig: Rig, file: str, key: str) -> Source:
     """Open the source of one rig, its run with the rules of the service file; file and key say where it stands."""
+    if table.model is not None:
+        _require(table.model, file, key.replace(".source", ".model"))
+        load_model(table.model)  # what is wrong with it is said now, not at the first diagnosis
     source = _opened(table, rig, file, key)
     source.run = replace(source.run, alarms=table.alarms.rules(), baseline=table.baseline.rules(table.window))
     return source
@@ -60,6 +65,8 @@ def _opened(table: RigTable, rig: Rig, file: str, key: str) -> Source:
         )
         return live
     if isinstance(table.source, RecordingSource):
+        for index, path in enumerate(table.source.files):
+            _require(path, file, f"{key}.files[{index}]")
         recording = Recording(*table.source.files)
         if replace(recording.run.rig, grid=rig.grid) != rig:
             raise RecordingError(
@@ -75,6 +82,12 @@ def _opened(table: RigTable, rig: Rig, file: str, key: str) -> Source:
         )
         return recording
     raise AssertionError(table.source)  # other kinds do not pass the settings
+
+
+def _require(path: Path, file: str, key: str) -> None:
+    """Name the place in the service file that names a file which is not there."""
+    if not path.exists():
+        raise ConfigurationError(file, key, f"{str(path)!r} is not there")
 
 
 def simulated_rig(

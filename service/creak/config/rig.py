@@ -2,6 +2,7 @@
 
 import json
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -15,6 +16,7 @@ from creak.records import Grid, Hold, Node, Rig
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\s/\p{C}]([^/\p{C}]*[^\s/\p{C}])?$")]
 _MAX_NODES = 256
+_LONGEST_PERIOD = 1e6  # s; times are counted in 64 bits of nanoseconds
 
 
 class _NodeTable(Strict):
@@ -25,10 +27,10 @@ class _NodeTable(Strict):
 
 class _RigTable(Strict):
     name: Name
-    sample_rate: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    period_samples: Annotated[int, Field(ge=4, strict=True)]
-    transient_periods: Annotated[int, Field(ge=0, strict=True)]
-    band: tuple[float, float] | None = None
+    sample_rate: Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False, strict=True)]
+    period_samples: Annotated[int, Field(ge=4, le=2**24, strict=True)]
+    transient_periods: Annotated[int, Field(ge=0, le=10**6, strict=True)]
+    band: tuple[Annotated[float, Field(strict=True)], Annotated[float, Field(strict=True)]] | None = None
     grid: Grid = "full"
     lines: list[Annotated[int, Field(strict=True)]] | None = None
     hold: Hold = "band-limited"
@@ -54,6 +56,11 @@ class _RigTable(Strict):
             raise ValueError("nodes: 'ground' is the fixed world and cannot be the name of a node")
         if all(node.input is None for node in self.nodes):
             raise ValueError("nodes: none is driven; give at least one the unit of its 'input'")
+        if self.period_samples / self.sample_rate > _LONGEST_PERIOD:
+            raise ValueError(
+                f"sample_rate: {self.sample_rate:g} is not allowed: {self.period_samples} samples would last "
+                f"longer than {_LONGEST_PERIOD:g} s"
+            )
         self._check_lines()
         self._check_network(names)
         return self
@@ -79,10 +86,15 @@ class _RigTable(Strict):
         if self.band is not None or "grid" in self.model_fields_set:
             raise ValueError("lines: cannot stand beside 'band' or 'grid'; give one or the other")
         highest = (self.period_samples - 1) // 2
-        if not self.lines or self.lines[0] < 1 or self.lines[-1] > highest:
-            raise ValueError(f"lines: should be whole numbers from 1 to {highest}, below half the sample rate")
-        if any(b <= a for a, b in zip(self.lines, self.lines[1:], strict=False)):
-            raise ValueError("lines: should rise, each line once")
+        if not self.lines or min(self.lines) < 1 or max(self.lines) > highest:
+            wrong = self.lines and [line for line in self.lines if not 1 <= line <= highest][:1]
+            raise ValueError(
+                f"lines: {wrong} is not allowed: should be whole numbers from 1 to {highest}, "
+                "below half the sample rate"
+            )
+        for before, line in pairwise(self.lines):
+            if line <= before:
+                raise ValueError(f"lines: {line} comes after {before}: should rise, each line once")
 
     def _check_network(self, names: list[str]) -> None:
         if isinstance(self.network, str):

@@ -92,7 +92,7 @@ class SimulatedSource(Strict):
     """RMS value of every input, in its unit."""
     snr_db: Annotated[float, Field(allow_inf_nan=False)] | None = 40.0
     """Signal-to-noise ratio of the responses."""
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of excitation and noise."""
     steady_periods: Count = 2
     """Periods of an experiment after the transient ones."""
@@ -229,7 +229,7 @@ def parse_service(tables: dict[str, Any], source: str, base: Path) -> ServiceSet
     except ValidationError as error:
         raise explain(error, _origin(error, source)) from None
     except SettingsError as error:
-        raise ConfigurationError("environment", "", str(error).splitlines()[0]) from None
+        raise _no_json(error) from None
     return settings.model_copy(
         update={
             "data": base / settings.data,
@@ -259,6 +259,18 @@ def _origin(error: ValidationError, source: str) -> str:
         if name in {key.upper() for key in os.environ}:
             return f"environment variable {name}"
     return source
+
+
+def _no_json(error: SettingsError) -> ConfigurationError:
+    """Name the variable whose list or table is not JSON."""
+    value = getattr(error.__cause__, "doc", None)
+    names = [name for name, told in os.environ.items() if name.upper().startswith(PREFIX) and told == value]
+    if not names:
+        return ConfigurationError("environment", "", str(error).splitlines()[0])
+    key = names[0].upper().removeprefix(PREFIX).replace("__", ".").lower()
+    return ConfigurationError(
+        f"environment variable {names[0]}", key, f"{value!r} is not JSON, in which lists and tables are told"
+    )
 
 
 def _anchored(url: str, base: Path) -> str:

@@ -1,5 +1,6 @@
 """One clear line from what pydantic found wrong."""
 
+import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from pydantic import ValidationError
 
 from creak.errors import ConfigurationError
 
+_SUBJECT = re.compile(r"^\w+(?= should )\s*")  # of pydantic's sentences: Input, String, List
 _SHOWN = 60  # characters of a wrong value that are worth repeating
 
 
@@ -53,7 +55,15 @@ def key_path(location: Sequence[int | str]) -> str:
 def explain(error: ValidationError, source: str) -> ConfigurationError:
     """Turn the first finding of pydantic into one line that names file, key, value and what is allowed."""
     found = error.errors()[0]
-    key = key_path(found["loc"])
+    location = found["loc"]
+    if found["type"] == "union_tag_invalid":
+        context = found["ctx"]
+        key = key_path((*location, context["discriminator"].strip("'")))
+        return ConfigurationError(
+            source, key, f"{context['tag']!r} is not allowed: should be one of {context['expected_tags']}"
+        )
+    # of a source pydantic names the kind too, which stands in no file
+    key = key_path([part for i, part in enumerate(location) if not i or location[i - 1] != "source"])
     more = f" (and {len(error.errors()) - 1} more)" if len(error.errors()) > 1 else ""
     if found["type"] == "missing":
         return ConfigurationError(source, key, f"is missing{more}")
@@ -62,7 +72,7 @@ def explain(error: ValidationError, source: str) -> ConfigurationError:
     value = repr(found["input"])
     if len(value) > _SHOWN:
         value = value[:_SHOWN] + "…"
-    message = found["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    message = found["msg"].removeprefix("Value error, ")
     if found["type"] != "value_error":
-        message = f"{value} is not allowed: should be {message}"
+        message = f"{value} is not allowed: {_SUBJECT.sub('', message)}"
     return ConfigurationError(source, key, message + more)

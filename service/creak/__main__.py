@@ -1,0 +1,5 @@
+"""``python -m creak``."""
+
+from creak.cli import main
+
+main()
