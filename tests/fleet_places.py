@@ -12,44 +12,13 @@ from pathlib import Path
 
 import pytest
 
+import two_masses
+from processes import free_port
+
 SERVER = shutil.which("nats-server") or "/usr/sbin/nats-server"
 
-RIG = """
-name = "{name}"
-sample_rate = 1024.0
-period_samples = 256
-transient_periods = 1
-band = [4.0, 200.0]
-[[nodes]]
-name = "1"
-input = "N"
-output = "m"
-[[nodes]]
-name = "2"
-input = "N"
-output = "m"
-"""
-MODEL = """
-kind = "lumped"
-[[masses]]
-name = "1"
-mass = 1.0
-[[masses]]
-name = "2"
-mass = 1.0
-[[links]]
-between = ["ground", "1"]
-stiffness = 1e4
-damping = 60.0
-[[links]]
-between = ["1", "2"]
-stiffness = 2e4
-damping = 60.0
-[[effects]]
-effect = "cubic_stiffness"
-at = ["2", "ground"]
-coefficient = 3e9
-"""
+RIG = two_masses.rig("{name}", transient=1)
+MODEL = two_masses.model(cubic=3e9)
 _COMMON = """
 data = "{data}"
 [stream]
@@ -76,12 +45,6 @@ _STREAMED = """
 [rigs.source]
 kind = "stream"
 """
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 class BrokerProcess:

@@ -1,6 +1,23 @@
-"""What Linux tells of processes."""
+"""What tests of processes and threads share: free ports, patience, and what Linux tells of processes."""
 
+import socket
+import time
 from pathlib import Path
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def wait_for(until, seconds=60.0):
+    """Poll until something is true; what it gave."""
+    end = time.monotonic() + seconds
+    while not (found := until()):
+        assert time.monotonic() < end, "timed out"
+        time.sleep(0.01)
+    return found
 
 
 def children(parent):

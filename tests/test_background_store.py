@@ -21,6 +21,7 @@ from creak.sinks.inbox import Inbox
 from creak.sinks.restart import saved_memory
 from creak.sinks.store import StoreSink
 from creak.worker import Worker
+from processes import wait_for
 from store_records import START, feed, make_alarm, make_estimate, make_run
 
 RUN = make_run()
@@ -49,14 +50,6 @@ def locked(tmp_path):
 def count(store, table):
     with store.read() as connection:
         return connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one()
-
-
-def wait_for(until, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not (found := until()):
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.01)
-    return found
 
 
 def test_locked_store_holds_nobody_up_and_gets_everything_afterwards(store, tmp_path):

@@ -8,52 +8,22 @@ from pathlib import Path
 
 import pytest
 
+import two_masses
 from creak.cli import run
 from creak.sources.recording import Recording
 
 EXAMPLES = Path(__file__).parents[1] / "deploy" / "examples"
 THREE = EXAMPLES / "three-mass"
 
-SMALL_RIG = """
-name = "small"
-sample_rate = 256.0
-period_samples = 256
-transient_periods = 3
-band = [2.0, 60.0]
-[[nodes]]
-name = "1"
-input = "N"
-output = "m"
-[[nodes]]
-name = "2"
-input = "N"
-output = "m"
-"""
-SMALL_MODEL = """
-kind = "lumped"
-[[masses]]
-name = "1"
-mass = 1.0
-[[masses]]
-name = "2"
-mass = 1.0
-[[links]]
-between = ["ground", "1"]
-stiffness = 1e4
-damping = 20.0
-[[links]]
-between = ["1", "2"]
-stiffness = 2e4
-damping = 20.0
-"""
+SMALL = {"rate": 256.0, "transient": 3, "band": (2.0, 60.0)}  # of two masses
 
 
 @pytest.fixture
 def small(tmp_path, monkeypatch):
     """A directory with a small rig and its model."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "rig.toml").write_text(SMALL_RIG)
-    (tmp_path / "model.toml").write_text(SMALL_MODEL)
+    (tmp_path / "rig.toml").write_text(two_masses.rig(**SMALL))
+    (tmp_path / "model.toml").write_text(two_masses.model(20.0))
     return tmp_path
 
 
@@ -153,7 +123,7 @@ def test_what_is_wrong_gets_one_line_and_exit_code_2(small, capsys, arguments, w
     ],
 )
 def test_a_rig_that_does_not_fit_the_model_is_refused(small, capsys, old, new, words):
-    (small / "rig.toml").write_text(SMALL_RIG.replace(old, new, 1))
+    (small / "rig.toml").write_text(two_masses.rig(**SMALL).replace(old, new, 1))
     assert run(SIMULATE) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
@@ -214,7 +184,9 @@ def test_an_ascii_terminal_gets_its_tables(small):
 
 def test_a_failed_run_leaves_no_recording(small, capsys):
     """Kills a half-written file: a motion that grows without bound is found in the middle of the run."""
-    unstable = SMALL_MODEL + '[[effects]]\neffect = "damping"\nat = ["2", "ground"]\ncoefficient = -500.0\n'
+    unstable = (
+        two_masses.model(20.0) + '[[effects]]\neffect = "damping"\nat = ["2", "ground"]\ncoefficient = -500.0\n'
+    )
     (small / "unstable.toml").write_text(unstable)
     arguments = ["simulate", "--model", "unstable.toml", "--rig", "rig.toml", "--realisations", "2"]
     assert run([*arguments, "--output", "x.mcap"]) in (1, 2)

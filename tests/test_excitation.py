@@ -8,20 +8,20 @@ import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import two_masses
 from conftest import make_rig
 from creak.cli import run
 from creak.crest import crest_factor
 from creak.errors import InputError
 from creak.multisine import Design, realisation
 from creak.sources.recording import Recording
-from test_cli import SMALL_MODEL, SMALL_RIG
 
 
 @pytest.fixture
 def small(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "rig.toml").write_text(SMALL_RIG)
-    (tmp_path / "model.toml").write_text(SMALL_MODEL)
+    (tmp_path / "rig.toml").write_text(two_masses.rig(rate=256.0, transient=3, band=(2.0, 60.0)))
+    (tmp_path / "model.toml").write_text(two_masses.model(20.0))
     return tmp_path
 
 

@@ -14,7 +14,7 @@ from creak.cli.fleet_metrics import AnalyserCollector, WorkerCollector, served
 from creak.digests import Gatherer
 from creak.errors import ConfigurationError
 from creak.records import Fault, FaultKind
-from fleet_places import free_port
+from processes import free_port
 
 BROKER = SimpleNamespace(connected=False)
 

@@ -17,8 +17,8 @@ from creak.sinks.recorder import Recorder
 from creak.sinks.store import StoreSink
 from creak.sources.recording import Recording
 from creak.worker import Worker
+from processes import wait_for
 from store_records import START
-from webhook_desk import wait_for
 
 SOME_FRAMES = 100_000
 """Bytes of a recording that holds realisations, not only its schemas."""

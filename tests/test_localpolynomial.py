@@ -12,6 +12,7 @@ import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import two_masses
 from conftest import make_frames, make_rig, make_run
 from creak.cli import run
 from creak.config.model import load_model
@@ -25,7 +26,6 @@ from creak.records import Estimate, Fault, FaultKind, Scope
 from creak.sources.settled import SettledSource
 from creak.sources.simulated import SimulatedRig
 from creak.statistics import Sums
-from test_cli import SMALL_MODEL, SMALL_RIG
 from test_network import chain_stiffness
 
 BEAM = Path(__file__).parents[1] / "service" / "creak" / "examples" / "beam"
@@ -264,8 +264,8 @@ def test_records_that_cannot_be_used_are_named(shape, P):
 
 def test_replay_by_the_local_polynomial_method(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "rig.toml").write_text(SMALL_RIG.replace("transient_periods = 3", "transient_periods = 1"))
-    (tmp_path / "model.toml").write_text(SMALL_MODEL.replace("damping = 20.0", "damping = 1.0"))
+    (tmp_path / "rig.toml").write_text(two_masses.rig(rate=256.0, transient=1, band=(2.0, 60.0)))
+    (tmp_path / "model.toml").write_text(two_masses.model(1.0))
     base = ["simulate", "--model", "model.toml", "--rig", "rig.toml", "--snr-db", "60", "--realisations", "4"]
     assert run([*base, "--steady-periods", "3", "--output", "a.mcap"]) == 0
     documents = {}

@@ -27,19 +27,12 @@ from creak.sources.stream import LetterReader
 from creak.worker import Worker
 from fleet_places import RIG as RIG_FILE_TEXT
 from fleet_places import broker
+from processes import wait_for
 from store_places import PLACES, place
 from test_worker import Frames
 
 RIG = make_rig(2, lines=range(2, 8), name="a rig/1.x")
 LIMITS = StreamLimits(600.0)
-
-
-def wait_for(until, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not (found := until()):
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.02)
-    return found
 
 
 @pytest.fixture

@@ -14,9 +14,10 @@ from creak.sinks.database import open_store
 from creak.webhooks.addresses import AddressPolicy
 from creak.webhooks.delivery import DeliveryRules
 from creak.webhooks.schedule import Schedule
+from processes import wait_for
 from receiver import receiving
 from store_records import make_alarm, opened
-from webhook_desk import FAST, RUN, add, delivering, log, statuses, wait_for
+from webhook_desk import FAST, RUN, add, delivering, log, statuses
 
 PATIENT = DeliveryRules(schedule=FAST, timeout=5.0)
 

@@ -16,9 +16,10 @@ from creak.webhooks import trouble
 from creak.webhooks.delivery import DeliveryRules
 from creak.webhooks.schedule import SECOND
 from creak.webhooks.signature import new_secret, sign
+from processes import wait_for
 from receiver import receiving
 from store_records import make_alarm, opened
-from webhook_desk import FAST, RUN, add, all_receivers, changes, delivering, log, statuses, wait_for
+from webhook_desk import FAST, RUN, add, all_receivers, changes, delivering, log, statuses
 
 
 @pytest.fixture

@@ -11,9 +11,10 @@ from creak.sinks.database import open_store
 from creak.sinks.operator_tables import deliveries
 from creak.sinks.operator_tables import outbox as messages
 from creak.webhooks.delivery import DeliveryRules
+from processes import wait_for
 from receiver import receiving
 from store_records import make_alarm, opened
-from webhook_desk import FAST, RUN, add, changes, delivering, statuses, wait_for
+from webhook_desk import FAST, RUN, add, changes, delivering, statuses
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import contextlib
 import itertools
-import time
 
 import sqlalchemy as sa
 
@@ -37,14 +36,6 @@ def delivering(store, *, policy=LOOPBACK, rules=None, **options):
 def log(store, receiver):
     with store.read() as connection:
         return outbox.delivery_page(connection, receiver.id, None, 1000)[::-1]
-
-
-def wait_for(until, seconds=30.0):
-    end = time.monotonic() + seconds
-    while not (found := until()):
-        assert time.monotonic() < end, "timed out"
-        time.sleep(0.01)
-    return found
 
 
 def statuses(store):

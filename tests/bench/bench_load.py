@@ -24,44 +24,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import two_masses
 from receiver import receiving
 
-_RIG = """
-name = "{name}"
-sample_rate = 1024.0
-period_samples = 1024
-transient_periods = 1
-band = [4.0, 200.0]
-[[nodes]]
-name = "1"
-input = "N"
-output = "m"
-[[nodes]]
-name = "2"
-input = "N"
-output = "m"
-"""
-_MODEL = """
-kind = "lumped"
-[[masses]]
-name = "1"
-mass = 1.0
-[[masses]]
-name = "2"
-mass = 1.0
-[[links]]
-between = ["ground", "1"]
-stiffness = 1e4
-damping = 60.0
-[[links]]
-between = ["1", "2"]
-stiffness = 2e4
-damping = 60.0
-[[effects]]
-effect = "cubic_stiffness"
-at = ["2", "ground"]
-coefficient = 1e10
-"""
 _NAMES = ("north", "south", "west")
 _PATHS = [
     path
@@ -85,10 +50,10 @@ _BARE_SHARE = 4  # one request of so many goes to the bare server as well
 
 def service(directory, port, names=_NAMES, more=""):
     """Start a service with simulated rigs; lines of TOML may be added to their sources."""
-    (directory / "model.toml").write_text(_MODEL)
+    (directory / "model.toml").write_text(two_masses.model(cubic=1e10))
     text = ""
     for name in names:
-        (directory / f"{name}.toml").write_text(_RIG.format(name=name))
+        (directory / f"{name}.toml").write_text(two_masses.rig(name, samples=1024, transient=1))
         text += f'[[rigs]]\nrig = "{name}.toml"\nmodel = "model.toml"\nwindow = 2\n'
         text += '[rigs.source]\nkind = "simulated"\nrms = 20.0\nsteady_periods = 2\n' + more
     (directory / "creak.toml").write_text(text)

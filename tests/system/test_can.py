@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import can_rigs
+import two_masses
 from conftest import make_run
 from creak.config.can import CanSource
 from creak.config.model import load_model
@@ -28,30 +29,11 @@ from creak.sources.can_mapping import map_signals
 from creak.sources.dbc import Database
 from creak.sources.recording import Recording
 from creak.sources.simulated import SimulatedRig
+from processes import free_port
 
 CREAK = [sys.executable, "-m", "creak.cli"]
 DEADLINE = 100.0  # loops may have to be compiled first, and in an emulated machine all is slow
-RIG = """
-name = "small"
-sample_rate = 1024.0
-period_samples = 256
-transient_periods = 2
-band = [4.0, 200.0]
-[[nodes]]
-name = "1"
-input = "N"
-output = "m"
-[[nodes]]
-name = "2"
-input = "N"
-output = "m"
-"""
-MODEL = """
-kind = "lumped"
-masses = [{name = "1", mass = 1.0}, {name = "2", mass = 1.0}]
-links = [{between = ["ground", "1"], stiffness = 1e4, damping = 60.0},
-         {between = ["1", "2"], stiffness = 2e4, damping = 60.0}]
-"""
+RIG, MODEL = two_masses.rig(), two_masses.model()
 SERVICE = """
 data = "var"
 [[rigs]]
@@ -70,14 +52,6 @@ channel = "239.74.163.66"
 options = {{ port = {port}, hop_limit = 0 }}
 """
 SOCKETCAN = os.environ.get("CREAK_TEST_BUS")
-
-
-def free_port():
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @pytest.fixture

@@ -7,8 +7,9 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
-from fleet_places import Processes, broker, free_port, write_fleet
+from fleet_places import Processes, broker, write_fleet
 from fleet_truth import closed, expected, progress, stored
+from processes import free_port
 from store_places import place
 
 RIGS = ["a", "b"]

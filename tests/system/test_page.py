@@ -7,9 +7,10 @@ import time
 import httpx
 import pytest
 from playwright.sync_api import expect
-from test_service import CREAK, free_port, wait_for
+from test_service import CREAK, wait_for
 
 from browser import DEADLINE, chromium, visiting
+from processes import free_port
 
 expect.set_options(timeout=DEADLINE)
 SHADES = """(canvas) => new Set(new Uint32Array(

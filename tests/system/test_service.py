@@ -14,18 +14,13 @@ from datetime import UTC, datetime, timedelta
 import httpx
 import pytest
 
+import two_masses
 from creak.records import AlarmChange, Frame
 from creak.sources.recording import Recording
-from processes import children
+from processes import children, free_port
 
 CREAK = [sys.executable, "-m", "creak.cli"]
 DEADLINE = 120.0  # seconds after which something hangs; not a figure
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def wait_for(what, until, process=None):
@@ -68,38 +63,7 @@ def started():
         process.communicate()
 
 
-RIG = """
-name = "small"
-sample_rate = 1024.0
-period_samples = 256
-transient_periods = 2
-band = [4.0, 200.0]
-[[nodes]]
-name = "1"
-input = "N"
-output = "m"
-[[nodes]]
-name = "2"
-input = "N"
-output = "m"
-"""
-MODEL = """
-kind = "lumped"
-[[masses]]
-name = "1"
-mass = 1.0
-[[masses]]
-name = "2"
-mass = 1.0
-[[links]]
-between = ["ground", "1"]
-stiffness = 1e4
-damping = 60.0
-[[links]]
-between = ["1", "2"]
-stiffness = 2e4
-damping = 60.0
-"""
+RIG, MODEL = two_masses.rig(), two_masses.model()
 SERVICE = """
 [[rigs]]
 rig = "rig.toml"
