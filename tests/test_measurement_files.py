@@ -6,12 +6,13 @@ import h5py
 import numpy as np
 import pytest
 import pyuff
+import scipy.io
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from creak.errors import MeasurementError
 from creak.records import Node
-from creak.sources.measurement import read_measurement
+from creak.sources.measurement import read_excitation, read_measurement
 from measured import (
     FORMATS,
     dataset58,
@@ -158,6 +159,28 @@ def test_a_flipped_byte_is_refused_in_one_line_or_harmless(form, tmp_path, data)
         assert np.isfinite(u).all()
         assert np.isfinite(y).all()
     assert "\n" not in text
+
+
+@pytest.mark.parametrize("form", ["npz", "mat-5", "mat-7.3"])
+def test_an_excitation_is_read_from_what_a_measurement_is_read_from(form, tmp_path):
+    # Kills a file that MATLAB has saved again in its newer format, and one damaged byte that ends the process.
+    suffix, write, _ = FORMATS[form]
+    (path,) = write(tmp_path / f"plan{suffix}", U, Y, RIG)
+    np.testing.assert_array_equal(read_excitation(path), U)
+    with pytest.raises(MeasurementError, match=r"plan\.csv: an excitation is read from"):
+        read_excitation(path.rename(tmp_path / "plan.csv"))
+
+
+def test_a_damaged_excitation_is_one_line(tmp_path):
+    # Kills an end of the process in scipy's reader, which takes a wrong data type code for an index.
+    path = tmp_path / "plan.mat"
+    scipy.io.savemat(path, {"u": U})
+    content = bytearray(path.read_bytes())
+    at = content.index(b"u\0\0\0") + 4  # the tag of the samples
+    content[at : at + 4] = (1000).to_bytes(4, "little")
+    path.write_bytes(content)
+    with pytest.raises(MeasurementError, match=r"plan\.mat: u"):
+        read_excitation(path)
 
 
 def test_the_choice_of_files_is_checked(tmp_path):

@@ -12,7 +12,7 @@ import numpy as np
 from creak import __version__
 from creak.errors import MeasurementError
 from creak.records import Excitation, Fault, Frame, Limits, Real, Rig, Run
-from creak.sources.measurement_arrays import read_mat, read_npz
+from creak.sources.measurement_arrays import mat_variables, npz_variables, read_mat, read_npz
 from creak.sources.measurement_checks import (
     as_numbers,
     check_finite,
@@ -94,20 +94,11 @@ def read_excitation(path: Path) -> Real:
     MeasurementError
         If the file cannot be read or holds no ``u``.
     """
+    reader = {".npz": npz_variables, ".mat": mat_variables}.get(path.suffix.lower())
+    if reader is None:
+        raise MeasurementError(f"{path}: an excitation is read from .npz or .mat")
     with _readable(path):
-        if path.suffix.lower() == ".npz":
-            with np.load(path) as file:
-                if "u" not in file:
-                    raise MeasurementError(f"{path}: has no variable u")
-                return as_numbers(file["u"], f"{path}: u")
-        if path.suffix.lower() == ".mat":
-            import scipy.io
-
-            found = scipy.io.loadmat(path, variable_names=["u"])
-            if "u" not in found:
-                raise MeasurementError(f"{path}: has no variable u")
-            return as_numbers(found["u"], f"{path}: u")
-    raise MeasurementError(f"{path}: an excitation is read from .npz or .mat")
+        return as_numbers(reader(path, ("u",))["u"], f"{path}: u")
 
 
 def _read(path: Path, readers: dict[str, _Reader], rig: Rig) -> tuple[Real, Real]:

@@ -1,7 +1,7 @@
 """Measurements that one file holds whole, as arrays ``u`` and ``y``: NPZ, and MAT of either MATLAB format."""
 
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +27,7 @@ def read_npz(path: Path, rig: Rig) -> tuple[Real, Real]:
     MeasurementError
         If a variable is missing or holds no real numbers.
     """
-    if not zipfile.is_zipfile(path):  # numpy would take it for a pickle
-        raise MeasurementError(f"{path}: is no NPZ archive, expected one with the variables u and y")
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:  # numpy forgets to close a bad one
-        _require(path, archive.files)
-        return _pair({name: _from_npz(archive, name, path) for name in ("u", "y")}, rig, path)
+    return _pair(npz_variables(path, ("u", "y")), rig, path)
 
 
 def read_mat(path: Path, rig: Rig) -> tuple[Real, Real]:
@@ -47,18 +43,32 @@ def read_mat(path: Path, rig: Rig) -> tuple[Real, Real]:
     MeasurementError
         If a variable is missing or holds no real numbers.
     """
+    return _pair(mat_variables(path, ("u", "y")), rig, path)
+
+
+def npz_variables(path: Path, wanted: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Arrays of an NPZ file by their names; MeasurementError if one is missing or pickled."""
+    if not zipfile.is_zipfile(path):  # numpy would take it for a pickle
+        names = f"variable{'s' * (len(wanted) > 1)} {' and '.join(wanted)}"
+        raise MeasurementError(f"{path}: is no NPZ archive, expected one with the {names}")
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:  # numpy forgets to close a bad one
+        _require(path, archive.files, wanted)
+        return {name: _from_npz(archive, name, path) for name in wanted}
+
+
+def mat_variables(path: Path, wanted: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Arrays of a MAT file of either format by their names; MeasurementError if one is missing or no number."""
     import h5py
 
     if h5py.is_hdf5(path):
         with h5py.File(path, "r") as file:
-            _require(path, file)
-            arrays = {name: _from_hdf5(file[name], f"{path}: {name}") for name in ("u", "y")}
-    else:
-        import scipy.io
+            _require(path, file, wanted)
+            return {name: _from_hdf5(file[name], f"{path}: {name}") for name in wanted}
+    import scipy.io
 
-        _require(path, check_mat5(path, ("u", "y")))
-        arrays = scipy.io.loadmat(path, variable_names=["u", "y"])
-    return _pair(arrays, rig, path)
+    _require(path, check_mat5(path, wanted), wanted)
+    found = scipy.io.loadmat(path, variable_names=list(wanted))
+    return {name: found[name] for name in wanted}
 
 
 def restore_axes(array: Real, channels: int) -> Real:
@@ -91,9 +101,9 @@ def _pair(arrays: dict[str, Any], rig: Rig, path: Path) -> tuple[Real, Real]:
     return restore_axes(u, rig.q), restore_axes(y, rig.n)
 
 
-def _require(path: Path, names: Iterable[str]) -> None:
+def _require(path: Path, names: Iterable[str], wanted: Sequence[str]) -> None:
     found = [name for name in names if name and not name.startswith(("__", "#"))]
-    for name in ("u", "y"):
+    for name in wanted:
         if name not in found:
             raise MeasurementError(f"{path}: no variable {name}, found {listing(found)}")
 
