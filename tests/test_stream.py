@@ -3,6 +3,7 @@
 import asyncio
 import itertools
 import json
+import os
 import time
 from dataclasses import replace
 
@@ -20,6 +21,7 @@ from creak.records import AlarmRules, BaselineRules, Limits, RunStatus
 from creak.sinks import fleet
 from creak.sinks.database import open_store
 from creak.sinks.fleet import LostRigError
+from creak.sinks.journal import Journal
 from creak.sinks.recorder import Recorder
 from creak.sinks.stream import StreamSink, subject
 from creak.sources.retold import BEFORE_ALL, retold
@@ -190,6 +192,31 @@ def test_a_worker_that_comes_back_tells_the_end_of_the_run_that_was_killed(conne
     later = measure(connection, tmp_path, run_of("two"), 1)
     found = read_all(reader(connection), later.sent)
     assert [letter.digest.index for letter in found] == [OPENING, 0, 1, 2, 3, CLOSING, OPENING, 0, CLOSING]
+
+
+def test_a_power_cut_finds_a_whole_journal(tmp_path, monkeypatch):
+    """Kills a name that the disk has before the content: the worker would not start until it is moved away."""
+    path, synced, seen = tmp_path / "a.sent.json", {}, []
+    sync, rename = os.fsync, os.replace
+
+    def fsync(descriptor):
+        found = os.fstat(descriptor)
+        synced[found.st_ino] = found.st_size
+        sync(descriptor)
+
+    def replace_(new, old):
+        seen.append(synced.get(os.stat(new).st_ino) == os.stat(new).st_size > 0)
+        rename(new, old)
+        synced.clear()
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", replace_)
+    begun = Journal(path).begin("one")
+    assert tmp_path.stat().st_ino in synced
+    Journal(path).note((begun, 7))
+    assert seen == [True, True]
+    found = Journal(path)
+    assert (found.sent, [run.begun for run in found.runs]) == ((begun, 7), [begun])
 
 
 def test_a_file_that_is_being_written_is_told_up_to_its_last_whole_chunk(tmp_path, connection):

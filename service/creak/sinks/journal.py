@@ -4,11 +4,13 @@ import json
 import os
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from creak.codec.letters import Place
 from creak.errors import StorageError
+from creak.sinks.wholewrites import WholeWrites
 
 _RUNS = 1000  # whose recordings a request can still reach
 
@@ -22,7 +24,7 @@ class RecordedRun:
 
 
 class Journal:
-    """The file; written whole each time, so that a `kill -9` finds the old one or the new one.
+    """The file; written whole each time, so that a `kill -9` or a power cut finds the old one or the new one.
 
     Parameters
     ----------
@@ -79,10 +81,13 @@ class Journal:
 
     def _write(self) -> None:
         document = {"sent": self.sent, "runs": [[run.begun, run.stem] for run in self.runs]}
-        new = self._path.with_suffix(".new")
+        path = self._path.with_suffix(".new")
         try:
-            new.write_text(json.dumps(document), encoding="utf-8")
-            os.replace(new, self._path)
+            with closing(WholeWrites(path, os.O_TRUNC)) as new:
+                new.write(json.dumps(document).encode())
+                new.sync()  # or a power cut could leave the name with nothing in it
+                os.replace(path, self._path)
+                new.sync_name()
         except OSError as error:
             raise StorageError(f"{self._path}: cannot be written: {error.strerror}") from error
 

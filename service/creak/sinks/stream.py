@@ -216,10 +216,12 @@ class StreamSink:
             for headers, data in letter_parts(letter, room, self._again if letter.place <= self._highest else "")
         ]
         with self._news:
-            if self._sent == at:  # else somebody has asked for earlier ones meanwhile
+            expected = self._sent == at  # else somebody has asked for earlier ones meanwhile
+            if expected:
                 self._sent = letter.place
                 self._highest = max(self._highest, letter.place)
-                self._journal.note(letter.place)
+        if expected:  # not above: the disk holds up nobody who has news
+            self._journal.note(letter.place)
         self._tell_news(letter.place, sequences[0])
 
     def _tell_news(self, place: Place | None = None, sequence: int = 0) -> None:
