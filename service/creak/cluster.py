@@ -6,9 +6,12 @@ when it died is computed again.
 """
 
 import asyncio
-from collections.abc import Callable, Iterator, Sequence
+import pickle
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 from creak.errors import InputError, ServiceError
@@ -17,6 +20,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 CONNECT_SECONDS = 3.0
+_KEPT = 6  # large arguments that stay on the cluster for further calls
+_WARNED = "distributed.admin.large-graph-warning-threshold"
+_LARGE = 100_000  # bytes beyond which an argument is sent once for all tasks
 
 
 class Scheduler(Protocol):
@@ -100,6 +106,7 @@ class Cluster:
     def __init__(self, client: Any, address: str) -> None:
         self._client = client
         self._address = address
+        self._kept: deque[tuple[object, dict[str | None, Any]]] = deque(maxlen=_KEPT)
 
     @property
     def threads(self) -> int:
@@ -135,6 +142,79 @@ class Cluster:
                 done()
             result: Result = whole.result()
             return result
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item], /) -> Iterator[Result]:
+        """Apply a function to items, a task each, and give the results in their order, as the builtin does.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module that the workers have, too, or `functools.partial` of one: a large argument that it binds
+            is sent once, also if it was bound before.
+        items : iterable
+
+        Raises
+        ------
+        Exception
+            What the function raised.
+        ServiceError
+            The cluster cannot carry it out.
+        """
+        from distributed import as_completed
+
+        bound = function if isinstance(function, partial) else partial(function)
+        waiting = list(items)
+        # A task goes where its data lie and the scheduler moves few, so every worker gets data and tasks in turn.
+        places = [address for address, threads in self._client.nthreads().items() for _ in range(threads)] or [
+            None
+        ]
+        running: dict[Any, tuple[int, str | None]] = {}
+        begun = 0
+
+        def begin(address: str | None) -> None:
+            nonlocal begun
+            if begun < len(waiting):
+                own = [self._sent(value, address) for value in bound.args]
+                named = {name: self._sent(value, address) for name, value in bound.keywords.items()}
+                future = self._client.submit(bound.func, *own, waiting[begun], **named, pure=False)
+                running[future] = begun, address
+                ended.add(future)
+                begun += 1
+
+        with self._failures_told():
+            ended = as_completed(loop=self._client.loop)
+            results: dict[int, Result] = {}
+            for address in places or [None]:
+                begin(address)
+            try:
+                for k in range(len(waiting)):
+                    while k not in results:
+                        future = next(ended)
+                        index, address = running.pop(future)
+                        begin(address)
+                        results[index] = future.result()
+                    yield results.pop(k)
+            finally:
+                for future in running:
+                    future.cancel()
+
+    def _sent(self, value: object, address: str | None) -> object:
+        """The value, or where it lies on the cluster if it is large: at best on the worker of that address.
+
+        It is made there by a task, not scattered, so that what a killed worker held comes about anew.
+        """
+        kept = next((copies for known, copies in self._kept if known is value), None)
+        if kept is not None and address in kept:
+            return kept[address]
+        data = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
+        if len(data) < _LARGE:
+            return value
+        if kept is None:
+            kept = {}
+            self._kept.append((value, kept))
+        where = {} if address is None else {"workers": [address], "allow_other_workers": True}
+        kept[address] = self._client.submit(pickle.loads, data, **where, pure=False)
+        return kept[address]
 
     @contextmanager
     def _failures_told(self) -> Iterator[None]:
@@ -172,6 +252,7 @@ def connected(address: str) -> Iterator[Cluster]:
         `distributed` is not installed, or no scheduler answers there within a few seconds.
     """
     try:
+        import dask
         from distributed import Client
     except ModuleNotFoundError:
         raise InputError("--scheduler: needs Dask; install creak[dask]") from None
@@ -180,7 +261,11 @@ def connected(address: str) -> Iterator[Cluster]:
         raise InputError(
             f"--scheduler: {address}: {why}; should be the address of a Dask scheduler such as tcp://127.0.0.1:8786"
         )
-    with Client(address, timeout=CONNECT_SECONDS, name="creak", set_as_default=False) as client:
+    # An argument that many tasks share is sent with the task that unpacks it.
+    with (
+        dask.config.set({_WARNED: "1 GiB"}),
+        Client(address, timeout=CONNECT_SECONDS, name="creak", set_as_default=False) as client,
+    ):
         yield Cluster(client, address)
 
 

@@ -13,6 +13,7 @@ from creak.cli.progress import progress
 from creak.cli.recordings import warn, whole_file
 from creak.cli.reference import gathered, moved, with_response
 from creak.cli.reference import healthy as as_model
+from creak.cluster import connected
 from creak.codec.diagnosis_json import diagnosis_json
 from creak.config.model import load_model
 from creak.config.model_writer import model_toml
@@ -20,6 +21,7 @@ from creak.errors import ConfigurationError, InputError, RecordingError
 from creak.gap.diagnose import diagnose as find
 from creak.gap.diagnose import validate as hold
 from creak.gap.view import check_stable
+from creak.mechanics.steady import Each
 from creak.mechanics.structure import MeasuredResponse
 from creak.mechanics.system import assemble
 from creak.records import Rig
@@ -57,6 +59,10 @@ def diagnose(
     ] = None,
     first_realisation: Annotated[int | None, typer.Option(help="First realisation that counts, from 0.")] = None,
     last_realisation: Annotated[int | None, typer.Option(help="Last realisation that counts.")] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Dask scheduler whose workers try the candidates, for instance tcp://10.0.0.1:8786."),
+    ] = None,
     progress_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Find where a recording departs from a model, which effect causes it, and how far the gap shrinks.
@@ -76,6 +82,12 @@ def diagnose(
             check_stable(assemble(believed, rig))  # before minutes are spent on reading
         page = None if report is None else scope.enter_context(whole_file(report, "--report"))
         saved = None if save_model is None else scope.enter_context(whole_file(save_model, "--save-model"))
+        each: Each = map
+        if scheduler is not None:
+            cluster = scope.enter_context(connected(scheduler))
+            each = cluster.map
+            if not cluster.threads:
+                warn(f"the scheduler at {scheduler} has no workers yet; waiting for one")
         tell = scope.enter_context(progress(progress_fd))
         if believed is None:
             believed = as_model(healthy or [], first_healthy, last_healthy, tell)
@@ -83,7 +95,7 @@ def diagnose(
             believed = with_response(believed, source, tell)
         check_stable(assemble(believed, rig))
         data = gathered(recording, first_realisation, last_realisation, tell)
-        found = find(rig, believed, data, lambda what, done: tell(what, _READING + (1 - _READING) * done))
+        found = find(rig, believed, data, lambda what, done: tell(what, _READING + (1 - _READING) * done), each)
         holding = None
         if other is not None:
             tell("the other recording", 1.0)

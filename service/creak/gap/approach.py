@@ -15,7 +15,7 @@ from creak.gap.setting import Setting
 from creak.gap.view import see
 from creak.records import Real
 
-_STEPS = 12
+STEPS = 12
 _MOVE = 0.1  # of its value that a number of the model moves in a step, at most
 _GAIN = 1e-3  # relative, below which another step does not pay
 _DAMPED = 0.1  # share of a step below which it is given up
@@ -27,7 +27,7 @@ def approach(
     place: tuple[str, tuple[str, ...]] | None,
     free: NDArray[np.bool_],
     start: Hypothesis,
-    steps: int = _STEPS,
+    steps: int = STEPS,
 ) -> tuple[float, Hypothesis]:
     """Move linear elements until what is left beside a free force at a place falls no further.
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from creak.errors import ConfigurationError
-from creak.gap.approach import approach
+from creak.gap.approach import STEPS, approach
 from creak.gap.hypothesis import Hypothesis, apply, own_elements
 from creak.gap.properties import properties_of
 from creak.gap.ranking import FEW, Ranked
 from creak.gap.refine import Refined, refine
-from creak.gap.scan import Found, Scan
+from creak.gap.regression import Indices
+from creak.gap.scan import Found, Place, Scan
+from creak.gap.setting import Setting
 from creak.mechanics.effects import GROUND
 
 if TYPE_CHECKING:
@@ -85,25 +89,14 @@ class BesideLinear:
         """
         if self.setting.rig.n == 1 or not own.any():
             return ()
+        sensors = [at[0] for _, group, at in scan.places(own) if group == "sensor"][:PLACES]
+        starts = ((name, _beside_sensor(scan, name, own)) for name in sensors)
+        task = partial(_without_node, self.setting, self.search.few, self.search.aside)
         fits: list[tuple[float, tuple[str, ...], Refined]] = []
-        for _, group, at in scan.places(own):
-            if group != "sensor" or len(fits) == PLACES:
-                continue
-            i = scan.view.names.index(at[0])
-            variance = self.setting.data.variance.copy()
-            variance[:, i] *= _DEAF
-            deaf = replace(self.setting, data=replace(self.setting.data, variance=variance))
-            changes = scan.sums.fit_beside_free_force(scan.view.pattern(at, group)[..., None], own)[1]
-            start = tuple((scan.key(k), float(changes[k])) for k in np.flatnonzero(own).tolist())
-            refined = refine(deaf, Hypothesis(linear=start), self.search.few, self.search.aside, _STEPS_DEAF)
-            fits.append(
-                (
-                    refined.left * self.setting.rig.n / (self.setting.rig.n - 1) / self.search.floor,
-                    at,
-                    refined,
-                )
-            )
-            if fits[-1][0] < ONE_PLACE:
+        for name, refined in zip(sensors, self.search.each(task, starts), strict=False):
+            left = refined.left * self.setting.rig.n / (self.setting.rig.n - 1) / self.search.floor
+            fits.append((left, (name,), refined))
+            if left < ONE_PLACE:
                 break
         fits.sort(key=lambda item: item[0])
         placed = [(rest, "sensor", at) for rest, at, _ in fits]
@@ -129,25 +122,15 @@ class BesideLinear:
         stage = self.search.compete([Found(alone, left / self.search.floor)])
         if self.search.explained(stage) or self.setting.rig.n == 1:
             return stage
-        near = []
-        alike: dict[tuple[bool, tuple[str, ...]], tuple[float, Hypothesis]] = {}
-        for _, group, at in scan.places(free):
-            # A free force at an actuator is one between its node and the ground.
-            where = group == "sensor", (*at, GROUND)[:2]
-            if where not in alike:
-                self.search.step()
-                starts = [
-                    approach(self.setting, self.search.few, (group, at), free, start, 3) for start in (none, alone)
-                ]
-                alike[where] = min(starts, key=lambda item: item[0])
-            near.append((alike[where][0] / self.search.floor, (group, at), where))
-        near.sort(key=lambda item: item[0])
-        found, placed, ended = [], [], {}
-        for _, place, where in near[:PLACES]:
+        every = [(group, at) for _, group, at in scan.places(free)]
+        alike = self._nearer([(place, start) for place in _unlike(every) for start in (none, alone)], free, 3)
+        near = sorted(((alike[_spot(place)][0] / self.search.floor, place) for place in every), key=_rest)
+        best = [place for _, place in near[:PLACES]]
+        ended = self._nearer([(place, alike[_spot(place)][1]) for place in _unlike(best)], free)
+        found, placed = [], []
+        for place in best:
             self.search.step()
-            if where not in ended:
-                ended[where] = approach(self.setting, self.search.few, place, free, alike[where][1])
-            left, linear = ended[where]
+            left, linear = ended[_spot(place)]
             placed.append((left / self.search.floor, *place))
             if left / self.search.floor > max(MANY, HOPELESS * self.search.before):
                 continue
@@ -159,11 +142,22 @@ class BesideLinear:
                     law = seen.hypothesis([trial], free)
                     total = tuple((key, changes.get(key, 0.0) + c) for key, c in law.hypothesis.linear)
                     found.append(Found(replace(law.hypothesis, linear=total), law.rest))
-        rest = [(left, *place) for left, place, _ in near[PLACES:]]
+        rest = [(left, *place) for left, place in near[PLACES:]]
         placed = sorted([*placed, *rest], key=lambda item: item[0])
         if not self.placed or placed[0][0] < 0.7 * self.placed[0][0]:
             self.placed = placed
         return tuple(sorted([*stage, *self.search.compete(found)], key=lambda item: item.score))
+
+    def _nearer(
+        self, tried: list[tuple[Place, Hypothesis]], free: NDArray[np.bool_], steps: int = STEPS
+    ) -> dict[Place, tuple[float, Hypothesis]]:
+        """The best of some starts of `approach` beside a free force, by the place as `_spot` has it."""
+        near: dict[Place, tuple[float, Hypothesis]] = {}
+        task = partial(_approached, self.setting, self.search.few, free, steps)
+        for (place, _), ended in zip(tried, self.search.each(task, tried), strict=True):
+            self.search.step()
+            near[_spot(place)] = min(near.get(_spot(place), ended), ended, key=_rest)
+        return near
 
     def _again(self, first: Found, free: NDArray[np.bool_]) -> list[Found]:
         """Rank once more, seen through the corrected linear part; then drop what does not matter."""
@@ -200,3 +194,49 @@ class BesideLinear:
             together = scan.hypothesis(trials_, free).hypothesis
             found.append(Found(replace(together, linear=total), fit.held / self.search.floor))
         return found
+
+
+def _approached(
+    setting: Setting,
+    few: Indices,
+    free: NDArray[np.bool_],
+    steps: int,
+    tried: tuple[Place, Hypothesis],
+) -> tuple[float, Hypothesis]:
+    """Linear elements moved beside a free force at one place, from one start."""
+    place, start = tried
+    return approach(setting, few, place, free, start, steps)
+
+
+def _spot(place: Place) -> Place:
+    """Name places alike that a free force cannot tell apart: an actuator, and its node with the ground."""
+    group, at = place
+    return ("sensor" if group == "sensor" else "internal"), (*at, GROUND)[:2]
+
+
+def _unlike(places: Sequence[Place]) -> list[Place]:
+    """The first of the places that are alike."""
+    first: dict[Place, Place] = {}
+    for place in places:
+        first.setdefault(_spot(place), place)
+    return list(first.values())
+
+
+def _rest(item: tuple[float, object]) -> float:
+    return item[0]
+
+
+def _beside_sensor(scan: Scan, name: str, free: NDArray[np.bool_]) -> Hypothesis:
+    """Linear changes fitted to all nodes but one, by regression."""
+    pattern = scan.view.pattern((name,), "sensor")[..., None]
+    changes = scan.sums.fit_beside_free_force(pattern, free)[1]
+    return Hypothesis(linear=tuple((scan.key(k), float(changes[k])) for k in np.flatnonzero(free).tolist()))
+
+
+def _without_node(setting: Setting, few: Indices, aside: Indices, start: tuple[str, Hypothesis]) -> Refined:
+    """Linear changes fitted to the output of all nodes but one."""
+    name, hypothesis = start
+    variance = setting.data.variance.copy()
+    variance[:, [node.name for node in setting.rig.nodes].index(name)] *= _DEAF
+    deaf = replace(setting, data=replace(setting.data, variance=variance))
+    return refine(deaf, hypothesis, few, aside, _STEPS_DEAF)

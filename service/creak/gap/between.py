@@ -8,6 +8,7 @@ parameters in an output-error fit, whose Jacobian gives the position's standard 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from creak.gap.setting import Setting
 from creak.gap.view import View, see
 from creak.mechanics.beam import Beam
 from creak.mechanics.effects import GROUND, Effect
+from creak.mechanics.steady import Each
 from creak.records import Real
 
 _NOISE = 1.15  # whitened power that a free force leaves at most at the only place where something acts
@@ -88,6 +90,7 @@ def locate(
     held: Indices,
     floor: float,
     explains: Callable[[Refined], bool],
+    each: Each = map,
 ) -> Located | None:
     """Find an effect at a place that is not measured; None where a free force leaves more than noise at each.
 
@@ -100,6 +103,8 @@ def locate(
         Whitened power of noise alone.
     explains : callable
         Whether a fitted law leaves noise.
+    each : callable
+        What laws are fitted by, as for `creak.gap.search.Search`.
 
     Returns
     -------
@@ -115,13 +120,13 @@ def locate(
         # Near a station a force between sensors looks like one at the station: measured places go first.
         if measured[0][0] <= _NOISE:
             return None
-        return _on_beam(setting, view, seen, fitted, held, floor, explains)
+        return _on_beam(setting, view, seen, fitted, held, floor, explains, each)
     best = int(np.argmin(seen.rest))
     if seen.rest[best] > _NOISE * floor or measured[0][0] <= 0.9 * seen.rest[best] / floor:
         return None
     order = np.argsort(seen.rest)[:_PLACES]
     alike = [seen.places[i] for i in order if seen.rest[i] <= 1.05 * seen.rest[best]]
-    found = [(law, at) for at in alike for law in _laws(setting, at, fitted, held, floor) if explains(law)]
+    found = [(law, at) for at in alike for law in _laws(setting, at, fitted, held, floor, each) if explains(law)]
     if not found:
         return Located(setting, None, alike[0], float(seen.rest[best]) / floor, alike=tuple(alike[1:]))
     score = _scored(setting, held if len(held) else fitted, floor)
@@ -139,6 +144,7 @@ def _on_beam(
     held: Indices,
     floor: float,
     explains: Callable[[Refined], bool],
+    each: Each,
 ) -> Located | None:
     assert isinstance(setting.model, Beam)
     start, error, rest = finest(setting, view, seen, fitted)
@@ -149,8 +155,8 @@ def _on_beam(
     stretches = intervals(seen)
     alike = stretches if len(stretches) > 1 else ()
     unknown = Located(placed, None, (name, GROUND), rest / floor, start, error, alike)
-    for law in _laws(placed, (name, GROUND), fitted, held, floor)[:_MOVED]:
-        moved = _moved(setting, start, law.hypothesis, fitted)
+    laws = _laws(placed, (name, GROUND), fitted, held, floor, each)[:_MOVED]
+    for moved in each(partial(_moved, setting, start, fitted), [law.hypothesis for law in laws]):
         if moved is None:
             continue
         model, name = with_station(setting.model, moved.position)
@@ -164,17 +170,17 @@ def _on_beam(
     return unknown
 
 
-def _laws(setting: Setting, at: Place, fitted: Indices, held: Indices, floor: float) -> list[Refined]:
+def _laws(setting: Setting, at: Place, fitted: Indices, held: Indices, floor: float, each: Each) -> list[Refined]:
     """Laws at one place fitted to the output, the best first."""
     view = see(setting.rig, setting.model, setting.data, setting.top)
     scan = Scan(extended(view, at), fitted, held, floor)
     trials = [trial for trial in scan.trials("internal", at, scan.none) if np.isfinite(trial.rest)]
-    found = []
-    for trial in trials[:_TRIED]:
-        refined = refine(setting, scan.hypothesis([trial], scan.none).hypothesis, _few(fitted), _few(held), 3)
-        if refined.settled:
-            found.append(refined)
-    return sorted(found, key=_scored(setting, held if len(held) else fitted, floor))
+    found = [scan.hypothesis([trial], scan.none).hypothesis for trial in trials[:_TRIED]]
+    fits = each(partial(refine, setting, fitted=_few(fitted), held=_few(held), steps=3), found)
+    return sorted(
+        (refined for refined in fits if refined.settled),
+        key=_scored(setting, held if len(held) else fitted, floor),
+    )
 
 
 def _scored(setting: Setting, experiments: Indices, floor: float) -> Callable[[Refined], float]:
@@ -204,7 +210,7 @@ class _Moved:
     covariance: Real  # of the position, then of the law's parameters
 
 
-def _moved(setting: Setting, position: float, hypothesis: Hypothesis, experiments: Indices) -> _Moved | None:
+def _moved(setting: Setting, position: float, experiments: Indices, hypothesis: Hypothesis) -> _Moved | None:
     """Move position and parameters together by Gauss-Newton; None where the motion is not found."""
     beam = setting.model
     assert isinstance(beam, Beam)

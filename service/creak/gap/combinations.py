@@ -8,6 +8,7 @@ with one law eliminated what every three do; the best are then optimised from wh
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from typing import Final
 
@@ -20,6 +21,7 @@ from creak.gap.scan import Place, Scan, Trial, massless
 from creak.gap.several import Set, polish, rest, turn
 from creak.mechanics.effects import Resonator
 from creak.mechanics.electronics import SensorQuantisation
+from creak.mechanics.steady import Each
 from creak.records import Complex, Real
 
 _ONCE = 4  # combinations that are given one turn of their inner parameters, for every one that is given more
@@ -125,7 +127,7 @@ class Combinations:
             parts.append((candidate.pattern(scan.view), np.stack(phi)))
         self.system = _system(scan, parts, free, np.array(fixed), np.array(positive))
 
-    def best(self, size: int, most: int) -> list[Set]:
+    def best(self, size: int, most: int, each: Each = map) -> list[Set]:
         """The best sets of so many laws, each law at a place once, their inner parameters optimised.
 
         Parameters
@@ -134,6 +136,8 @@ class Combinations:
             2 or 3.
         most : int
             Sets that are optimised to the end.
+        each : callable
+            What they are optimised by, as for `creak.gap.search.Search`.
 
         Returns
         -------
@@ -141,9 +145,9 @@ class Combinations:
             The one that leaves least first.
         """
         rough = (self._twos() if size == 2 else self._threes())[: _ONCE * most]
-        once = [turn(self.scan, self._trials(chosen), self.free) for _, chosen in rough]
-        once.sort(key=rest)
-        return sorted((polish(self.scan, item, self.free) for item in once[:most]), key=rest)
+        tried = [self._trials(chosen) for _, chosen in rough]
+        once = sorted(each(partial(turn, self.scan, free=self.free), tried), key=rest)
+        return sorted(each(partial(polish, self.scan, free=self.free), once[:most]), key=rest)
 
     def _twos(self) -> list[tuple[float, tuple[int, ...]]]:
         left, _, _ = self.system.pairs()
@@ -183,6 +187,14 @@ class Combinations:
             Trial(law, inner, law.column(self.scan.view, inner, every), np.inf)
             for law, inner in ((self.laws[self.owner[i]], self.inner[i]) for i in chosen)
         )
+
+
+def best_sets(
+    scan: Scan, free: NDArray[np.bool_], size: int, most: int, tried: tuple[Sequence[Place], Sequence[Trial]]
+) -> list[Set]:
+    """`Combinations.best` of the laws at some places, given with what they leave alone: a task."""
+    places, alone = tried
+    return Combinations(scan, places, free, alone).best(size, most)
 
 
 def _system(

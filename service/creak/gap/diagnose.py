@@ -22,6 +22,7 @@ from creak.gap.setting import Setting
 from creak.gap.standing import standing, unsettled
 from creak.gap.verdict import as_causes, as_corrections, judge, probabilities
 from creak.gap.view import check_stable, hold_factor, lines_of
+from creak.mechanics.steady import Each
 from creak.mechanics.structure import Matrices
 from creak.mechanics.system import Model, assemble
 from creak.mechanics.vocabulary import VOCABULARY
@@ -62,7 +63,9 @@ def _silent(what: str, done: float) -> None:
     """Report nothing."""
 
 
-def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _silent) -> Diagnosis:
+def diagnose(
+    rig: Rig, model: Model, data: PeriodicData, progress: Progress = _silent, each: Each = map
+) -> Diagnosis:
     """Find where a recording departs from a model, which effect causes it, and how far it shrinks.
 
     Parameters
@@ -73,6 +76,8 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _s
     data : PeriodicData
         The recording's complete realisations, see `creak.gap.periodic.gather`.
     progress : callable
+    each : callable
+        What candidates are tried by, as for `creak.gap.search.Search`.
 
     Returns
     -------
@@ -126,9 +131,9 @@ def diagnose(rig: Rig, model: Model, data: PeriodicData, progress: Progress = _s
         progress("done", 1.0)
         return result
     setting = replace(setting, top=_top(rig, data, rest))
-    search = Search(setting, halves.searched, halves.chosen_by, progress)
+    search = Search(setting, halves.searched, halves.chosen_by, progress, each)
     progress("places without a sensor", 0.05)
-    hidden = locate(setting, halves.fitted, halves.held, search.floor, search.explains)
+    hidden = locate(setting, halves.fitted, halves.held, search.floor, search.explains, each)
     if hidden is None:
         searched = search.run()
     else:
@@ -166,7 +171,7 @@ def _concluded(
     after, final = before, None
     if searched.ranked:
         best = searched.ranked[0].refined
-        final = best if searched.whole else _final(setting, best, halves)
+        final = best if searched.whole else _final(setting, best, halves, search.each)
         steady = setting.simulate(final.hypothesis, shown)
         if steady.settled:
             after = level(data, steady.y, shown)
@@ -250,10 +255,10 @@ def _where(
     return missing_force(setting, supposed, searched.places, halves.fitted), setting, hypothesis
 
 
-def _final(setting: Setting, refined: Refined, halves: _Halves) -> Refined:
+def _final(setting: Setting, refined: Refined, halves: _Halves, each: Each) -> Refined:
     """Fit to the end, to all experiments that may be fitted."""
     whole = as_corrections(refined.hypothesis)
-    final = conclude(setting, refined.hypothesis, halves.fitted, halves.held[:6], whole=whole)
+    final = conclude(setting, refined.hypothesis, halves.fitted, halves.held[:6], whole=whole, each=each)
     return final if final.settled else refined
 
 

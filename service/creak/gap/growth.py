@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -70,12 +71,13 @@ def _larger(search: Search, hypothesis: Hypothesis) -> list[Refined]:
         if np.isfinite(trial.rest) and (trial.candidate.kind, trial.candidate.at) not in there
     ]
     trials.sort(key=lambda item: item.rest)
-    larger = []
+    larger: list[Hypothesis] = []
     for trial in trials[:_TRIED]:
         law = scan.hypothesis([trial], free).hypothesis
         moved = dict(law.linear)
         linear = tuple((key, change + moved.get(key, 0.0)) for key, change in hypothesis.linear)
         together = replace(hypothesis, effects=(*hypothesis.effects, *law.effects), linear=linear)
         if law.effects and plausible(setting.model, together):
-            larger.append(refine(setting, together, search.few, search.aside, 4))
-    return larger
+            larger.append(together)
+    task = partial(refine, setting, fitted=search.few, held=search.aside, steps=4)
+    return list(search.each(task, larger))

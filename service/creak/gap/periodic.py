@@ -8,6 +8,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from creak.errors import MeasurementError
+from creak.gap.layout import settle
 from creak.gap.quiet import quiet_variance
 from creak.realisations import Collector
 from creak.records import Complex, Fault, Frame, FrameStatus, Real, Rig, Run
@@ -46,6 +47,10 @@ class PeriodicData:
     degrees: float
     periods: int
     pooled: int = 1
+
+    def __post_init__(self) -> None:
+        """Settle the layout."""
+        settle(self)
 
     @property
     def counts(self) -> NDArray[np.bool_]:

@@ -4,7 +4,9 @@ The regression takes the laws at the measured motion, whose noise biases it; her
 estimate is that of maximum likelihood for white noise between lines, and its Jacobian gives the standard errors.
 """
 
+import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from creak.gap.view import lines_of
 from creak.mechanics.effects import Damping, Effect, Mass, Stiffness
 from creak.mechanics.electronics import ActuatorHysteresis
 from creak.mechanics.sensitivity import Neighbours, sensitivities
-from creak.mechanics.steady import MOST_SAMPLES, SteadyState
+from creak.mechanics.steady import MOST_SAMPLES, Each, SteadyState
 from creak.mechanics.system import System
 from creak.records import Complex, Real
 
@@ -26,6 +28,7 @@ _STEP = 1e-4  # of a parameter, for difference quotients
 _MOVED = 10.0  # gain of a step in the log likelihood after which its Jacobian is taken anew
 _GAINED = 0.02  # below which a step is the last
 _COARSE = 4096  # points a period at which tangents are taken
+_PART = 8  # experiments at most that are simulated together
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +90,7 @@ def refine(
     oversampling: int | None = None,
     tolerance: float = TOLERANCE,
     near: Refined | None = None,
+    each: Each = map,
 ) -> Refined:
     """Gauss-Newton steps from a hypothesis, damped if they do not pay.
 
@@ -105,49 +109,53 @@ def refine(
         Of the solver.
     near : Refined, optional
         Fit to the same experiments from nearby, whose motion and Jacobian serve to begin with.
+    each : callable
+        What parts of the experiments are simulated by, as for `creak.gap.search.Search`.
 
     Returns
     -------
     Refined
     """
     size = hypothesis.size
-    state = _solved(setting, hypothesis, fitted, near.guess if near else None, oversampling, tolerance)
-    if state is None:
+    output = _solved(setting, hypothesis, fitted, near.guess if near else None, oversampling, tolerance, each)
+    if output is None:
         return Refined(hypothesis, np.full((size, size), np.nan), np.inf, np.inf, False)
-    steady, r = state
-    cost = _cost(r)
+    oversampling = output.parts[0].oversampling
+    cost = _cost(output.r)
     jacobian = near.jacobian if near else None
     covariance = np.zeros((size, size)) if jacobian is None else _inverse(jacobian @ jacobian.T)
     gain = 0.0
     for _ in range(steps if size else 0):
         if gain > _MOVED or jacobian is None:
-            jacobian = _jacobian(setting, hypothesis, fitted, steady)
+            jacobian = _jacobian(setting, hypothesis, fitted, output, each)
             covariance = _inverse(jacobian @ jacobian.T)
-        step = covariance @ (-jacobian @ _flat(r))
+        step = covariance @ (-jacobian @ _flat(output.r))
         share, better = 1.0, None
         while share > 0.05:
             try:
                 trial = with_vector(hypothesis, _limited(hypothesis, vector(hypothesis), share * step))
-                better = _solved(setting, trial, fitted, steady.motion, steady.oversampling, tolerance)
+                better = _solved(setting, trial, fitted, output.motion, oversampling, tolerance, each)
             except ConfigurationError:
                 better = None
-            if better is not None and _cost(better[1]) < cost * (1 + 1e-12):
+            if better is not None and _cost(better.r) < cost * (1 + 1e-12):
                 break
             better, share = None, share / 3
         if better is None:
             break
-        gain = cost - _cost(better[1])
-        hypothesis, (steady, r), cost = trial, better, cost - gain
+        gain = cost - _cost(better.r)
+        hypothesis, output, cost = trial, better, cost - gain
         if gain < _GAINED and share == 1.0:
             break
-    left = cost / r.size
-    aside = _solved(setting, hypothesis, held, None, steady.oversampling, tolerance) if len(held) else (steady, r)
-    apart = float(np.mean(np.abs(aside[1]) ** 2)) if aside is not None else np.inf
+    left = cost / output.r.size
+    aside = _solved(setting, hypothesis, held, None, oversampling, tolerance, each) if len(held) else output
+    apart = float(np.mean(np.abs(aside.r) ** 2)) if aside is not None else np.inf
     # |r|^2 of a complex sample has mean 1, so real and imaginary part have variance 1/2.
-    return Refined(hypothesis, covariance / 2, left, apart, aside is not None, steady.motion, jacobian)
+    return Refined(hypothesis, covariance / 2, left, apart, aside is not None, output.motion, jacobian)
 
 
-def conclude(setting: Setting, hypothesis: Hypothesis, fitted: Indices, held: Indices, *, whole: bool) -> Refined:
+def conclude(
+    setting: Setting, hypothesis: Hypothesis, fitted: Indices, held: Indices, *, whole: bool, each: Each = map
+) -> Refined:
     """Fit to the end: what is stated, and by how much it may be wrong.
 
     The steady state is solved until neither its tolerance nor harmonics that fold may move a parameter by a
@@ -161,6 +169,8 @@ def conclude(setting: Setting, hypothesis: Hypothesis, fitted: Indices, held: In
     whole : bool
         Free all linear numbers that the model has. Where many had to move, all of them are uncertain, and one
         that was left where it was because it nearly fits would bias the others and hide how uncertain they are.
+    each : callable
+        As for `refine`.
 
     Returns
     -------
@@ -172,12 +182,12 @@ def conclude(setting: Setting, hypothesis: Hypothesis, fitted: Indices, held: In
         more = tuple((own.key, 0.0) for own in own_elements(setting.model) if own.key not in had and own.value > 0)
         hypothesis = replace(hypothesis, linear=(*hypothesis.linear, *more))
     oversampling = setting.samples_a_sample(hypothesis)
-    refined = refine(setting, hypothesis, fitted, held, 5, oversampling, FINE)
+    refined = refine(setting, hypothesis, fitted, held, 5, oversampling, FINE, each=each)
     while refined.settled and setting.system(hypothesis).elements and refined.hypothesis.size:
         finer = 2 * oversampling
         if finer * setting.rig.period_samples > MOST_SAMPLES:
             break
-        again = refine(setting, refined.hypothesis, fitted, held, 2, finer, FINE, refined)
+        again = refine(setting, refined.hypothesis, fitted, held, 2, finer, FINE, refined, each)
         if not again.settled:
             break
         moved = vector(again.hypothesis) - vector(refined.hypothesis)
@@ -185,7 +195,7 @@ def conclude(setting: Setting, hypothesis: Hypothesis, fitted: Indices, held: In
         refined, oversampling = again, finer
         if np.all(np.abs(moved) < 0.1 * errors):
             break
-    refined = _rounded(setting, refined, fitted, held, oversampling)
+    refined = _rounded(setting, refined, fitted, held, oversampling, each)
     # Weights that are estimated from nu degrees of freedom lose nu/(nu - 2) of what they seem to know, and
     # what a fit leaves beyond noise counts as noise.
     nu = setting.data.degrees
@@ -193,7 +203,9 @@ def conclude(setting: Setting, hypothesis: Hypothesis, fitted: Indices, held: In
     return replace(refined, covariance=refined.covariance * (nu / (nu - 2)) * more_left)
 
 
-def _rounded(setting: Setting, refined: Refined, fitted: Indices, held: Indices, oversampling: int) -> Refined:
+def _rounded(
+    setting: Setting, refined: Refined, fitted: Indices, held: Indices, oversampling: int, each: Each
+) -> Refined:
     """Steps of quantised sensors found as such, in turn with all else."""
     which = quantised(refined.hypothesis)
     if not which or not refined.settled:
@@ -204,7 +216,7 @@ def _rounded(setting: Setting, refined: Refined, fitted: Indices, held: Indices,
         y = before_rounding(setting, hypothesis, fitted, oversampling)
         for i in which:
             hypothesis, spreads[i] = settle_step(setting, hypothesis, i, y, fitted)
-        refined = refine(setting, hypothesis, fitted, held, 0 if turn else 2, oversampling, FINE, refined)
+        refined = refine(setting, hypothesis, fitted, held, 0 if turn else 2, oversampling, FINE, refined, each)
     covariance = refined.covariance.copy()
     for i, spread in spreads.items():
         at = sum(len(effect.parameter_names()) for effect in refined.hypothesis.effects[:i])
@@ -223,6 +235,36 @@ def _inverse(gram: Real) -> Real:
     return np.asarray(np.linalg.pinv(gram / both, rcond=1e-12, hermitian=True) / both)
 
 
+@dataclass(frozen=True, eq=False)
+class _Output:
+    """Simulated experiments, in parts of at most `_PART`.
+
+    Parameters
+    ----------
+    parts : tuple of SteadyState
+        Without responses and forces.
+    r : array, (E, top, n)
+        Whitened residual of all.
+    """
+
+    parts: tuple[SteadyState, ...]
+    r: Complex
+
+    @property
+    def motion(self) -> Real:
+        """Displacements of the elements in all experiments."""
+        return np.concatenate([part.motion for part in self.parts])
+
+
+_Part = tuple[Indices, Real | None]
+"""Experiments, and motion to begin with."""
+
+
+def _parts(experiments: Indices) -> list[Indices]:
+    """Parts of the experiments, of nearly one size: how many hangs on nothing else, nor do sums over them."""
+    return np.array_split(experiments, math.ceil(len(experiments) / _PART))
+
+
 def _solved(
     setting: Setting,
     hypothesis: Hypothesis,
@@ -230,15 +272,31 @@ def _solved(
     guess: Real | None,
     oversampling: int | None,
     tolerance: float,
-) -> tuple[SteadyState, Complex] | None:
+    each: Each,
+) -> _Output | None:
     """Steady state and residual; None if it does not settle."""
+    parts = _parts(experiments)
+    guesses = [None] * len(parts) if guess is None else np.array_split(guess, len(parts))
+    task = partial(_solved_part, setting, hypothesis, oversampling, tolerance)
+    solved = list((each if len(parts) > 1 else map)(task, zip(parts, guesses, strict=True)))
+    settled = [part for part in solved if part is not None]
+    if len(settled) < len(parts):
+        return None
+    return _Output(tuple(steady for steady, _ in settled), np.concatenate([r for _, r in settled]))
+
+
+def _solved_part(
+    setting: Setting, hypothesis: Hypothesis, oversampling: int | None, tolerance: float, part: _Part
+) -> tuple[SteadyState, Complex] | None:
+    experiments, guess = part
     try:
         steady = setting.simulate(hypothesis, experiments, guess, oversampling, tolerance)
     except (SimulationError, ConfigurationError, np.linalg.LinAlgError):
         return None
     if not steady.settled:
         return None
-    return steady, setting.residual(steady.y, experiments, setting.top)
+    r = setting.residual(steady.y, experiments, setting.top)
+    return replace(steady, y=steady.y[:0], force=steady.force[:0]), r
 
 
 def _flat(r: Complex) -> Real:
@@ -261,10 +319,10 @@ def _limited(hypothesis: Hypothesis, values: Real, step: Real) -> Real:
     return moved
 
 
-def _jacobian(setting: Setting, hypothesis: Hypothesis, fitted: Indices, steady: SteadyState) -> Real:
+def _jacobian(setting: Setting, hypothesis: Hypothesis, fitted: Indices, output: _Output, each: Each) -> Real:
     """Derivatives of the whitened residual, ``(K, 2 E top n)``."""
     here = setting.system(hypothesis)
-    values, steps = vector(hypothesis), _steps(setting, hypothesis, here, steady)
+    values, steps = vector(hypothesis), _steps(setting, hypothesis, here, output.motion)
     pairs = []
     for k, h in enumerate(steps):
         ends, width = [], 0.0
@@ -277,17 +335,27 @@ def _jacobian(setting: Setting, hypothesis: Hypothesis, fitted: Indices, steady:
             except ConfigurationError:
                 ends.append(here)
         pairs.append(Neighbours(ends[0], ends[1], max(width, 1e-300)))
+    parts = _parts(fitted)
+    task = partial(_jacobian_part, setting, here, pairs)
+    rows = (each if len(parts) > 1 else map)(task, zip(parts, output.parts, strict=True))
+    return np.concatenate(list(rows), axis=1)
+
+
+def _jacobian_part(
+    setting: Setting, here: System, pairs: list[Neighbours], part: tuple[Indices, SteadyState]
+) -> Real:
+    experiments, steady = part
     data, rig, top = setting.data, setting.rig, setting.top
     coarse = max(1, _COARSE // rig.period_samples)
     sigma = np.sqrt(data.variance[:top])
-    found = sensitivities(here, steady, data.u[fitted], rig.sample_rate, rig.hold, pairs, coarse)
+    found = sensitivities(here, steady, data.u[experiments], rig.sample_rate, rig.hold, pairs, coarse)
     return np.array([_flat(lines_of(y)[:, :top] / sigma) for y in found])
 
 
-def _steps(setting: Setting, hypothesis: Hypothesis, system: System, steady: SteadyState) -> list[float]:
+def _steps(setting: Setting, hypothesis: Hypothesis, system: System, motion: Real) -> list[float]:
     """Steps for difference quotients: a small part of every parameter, of its like in the model where it is 0."""
     sizes = {
-        "gap": float(np.std(steady.motion)) if steady.motion.size else 1.0,
+        "gap": float(np.std(motion)) if motion.size else 1.0,
         "delay": 1 / setting.rig.sample_rate,
         "width": float(np.std(setting.data.u)),
         "damping_ratio": 1.0,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from creak.gap.layout import settle
 from creak.gap.properties import Property, properties_of, stiffness_change
 from creak.gap.view import View
 from creak.mechanics.effects import GROUND, Damping, Effect, Mass, Stiffness
@@ -46,6 +47,10 @@ class Column:
     q: Complex
     phi: Complex
     fixed: bool = False
+
+    def __post_init__(self) -> None:
+        """Settle the layout."""
+        settle(self)
 
 
 @dataclass(frozen=True, eq=False)

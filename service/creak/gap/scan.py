@@ -57,13 +57,17 @@ class Scan:
     """
 
     def __init__(self, view: View, fitted: Indices, held: Indices, floor: float) -> None:
-        self.view, self.floor = view, floor
+        self.view, self.floor, self.sets = view, floor, (fitted, held)
         self.sums = Sums(view, fitted, held)
         few = fitted[:_SMALL]
         self.few = few
         self.small = Sums(view, few, few[:0])
         self._single = Sums(view, few[:1], few[:0])
         self.all = np.arange(len(view.r))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Made anew of its view elsewhere: the sums are several times as large and soon had."""
+        return Scan, (self.view, *self.sets, self.floor)
 
     @property
     def none(self) -> NDArray[np.bool_]:
@@ -243,6 +247,11 @@ def _rest(item: tuple[Any, ...]) -> float:
 def massless(candidate: Candidate) -> bool:
     """Whether it is a mass between two nodes, which is none."""
     return candidate.kind.effect == "mass" and candidate.at[1] != GROUND
+
+
+def trials_at(scan: Scan, free: NDArray[np.bool_], place: Place) -> list[Trial]:
+    """Every effect at one place, as `Scan.trials` has them: a task."""
+    return scan.trials(*place, free)
 
 
 def replacement(scan: Scan, effect: Effect, index: int) -> Found:

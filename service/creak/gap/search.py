@@ -2,24 +2,26 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from creak.gap import several
 from creak.gap.beside import HOPELESS, MANY, ONE_PLACE, PLACES, BesideLinear
-from creak.gap.combinations import Combinations
+from creak.gap.combinations import Combinations, best_sets
 from creak.gap.growth import grown
 from creak.gap.hypothesis import Hypothesis, apply, own_elements, plausible
 from creak.gap.ranking import Ranked, Searched, significant
 from creak.gap.refine import Refined, refine
 from creak.gap.regression import Indices
-from creak.gap.scan import Found, Place, Scan, Trial, replacement
+from creak.gap.scan import Found, Place, Scan, Trial, replacement, trials_at
 from creak.gap.setting import Setting
 from creak.gap.together import Together
 from creak.gap.view import see
 from creak.mechanics.effects import Resonator, Restoring
 from creak.mechanics.electronics import Electronic
+from creak.mechanics.steady import Each
 
 Report = Callable[[str, float], None]
 
@@ -43,9 +45,13 @@ class Search:
     fitted, held : array of int
         Experiments; none may be held.
     report : callable
+    each : callable
+        What candidates are tried by, laws at places as well as fits to the output: `map`, one after the other,
+        or one that has them done elsewhere, which changes no bit.
     """
 
-    def __init__(self, setting: Setting, fitted: Indices, held: Indices, report: Report) -> None:
+    def __init__(self, setting: Setting, fitted: Indices, held: Indices, report: Report, each: Each = map) -> None:
+        self.each = each
         self.setting, self.fitted, self.held, self.report = setting, fitted, held, report
         degrees = setting.data.degrees
         self.floor = degrees / (degrees - 1)
@@ -78,12 +84,10 @@ class Search:
         """Hypothesis without its idle effects; nothing if every one matters."""
         found: tuple[Ranked, ...] = ()
         while len(effects := best.hypothesis.effects) > 1:
-            fewer = [
-                refine(self.setting, replace(best.hypothesis, effects=kept), self.few, self.aside, 3)
-                for kept in (effects[:i] + effects[i + 1 :] for i in range(len(effects)))
-            ]
+            fewer = [replace(best.hypothesis, effects=effects[:i] + effects[i + 1 :]) for i in range(len(effects))]
+            fits = self.each(partial(refine, self.setting, fitted=self.few, held=self.aside, steps=3), fewer)
             ranked = sorted(
-                (Ranked(item, self.score(item)) for item in fewer if self.explains(item)),
+                (Ranked(item, self.score(item)) for item in fits if self.explains(item)),
                 key=lambda item: item.score,
             )
             if not ranked or ranked[0].score > best.score + IDLE:
@@ -110,7 +114,7 @@ class Search:
         together: tuple[Ranked, ...] = ()
         if not one_place:
             self._begin("effects at places of their own", 0.25, 0.3)
-            together = self.compete(Together(base).run())
+            together = self.compete(Together(base, self.each).run())
             if self.explained(together):
                 return Searched(together, True, places)
         beside: tuple[Ranked, ...] = ()
@@ -180,9 +184,10 @@ class Search:
         """Every law at the places that are worth it, the best first, and the trials behind them by place."""
         trials = {}
         found = []
-        for _, group, at in _worth(places):
+        worth = [(group, at) for _, group, at in _worth(places)]
+        for (_, at), tried in zip(worth, self.each(partial(trials_at, scan, free), worth), strict=True):
             self.step()
-            trials[at] = scan.trials(group, at, free)
+            trials[at] = tried
             had = {(type(effect), effect.at) for effect in self.setting.model.effects}
             found += [
                 scan.hypothesis([trial], free)
@@ -213,13 +218,6 @@ class Search:
         """Two effects: at one place, and unless there is but one at the best pairs of places."""
         known = dict(trials)
 
-        def alone(some: Sequence[Place]) -> list[Trial]:
-            for group, at in some:
-                if at not in known:
-                    self.step()
-                    known[at] = scan.trials(group, at, free)
-            return [trial for _, at in some for trial in known[at]]
-
         ranked = [] if one_place or self.setting.rig.n < 3 else scan.place_pairs()
         if self.setting.rig.n == 2:  # two free forces leave nothing, so every pair is as good as the better place
             ranked = [
@@ -229,10 +227,16 @@ class Search:
                 if not one_place
             ]
         both = list(dict.fromkeys(place for pair in ranked for place in pair[1:]))[:_PAIRED]
-        spots: list[Sequence[Place]] = [both, _alike(places), [places[1][1:]]]
-        sets = [
-            found for some in spots if some for found in Combinations(scan, some, free, alone(some)).best(2, _LAWS)
-        ]
+        spots: list[Sequence[Place]] = [some for some in (both, _alike(places), [places[1][1:]]) if some]
+        unknown: dict[tuple[str, ...], Place] = {}
+        for place in (place for some in spots for place in some if place[1] not in known):
+            unknown.setdefault(place[1], place)
+        for at, tried in zip(unknown, self.each(partial(trials_at, scan, free), unknown.values()), strict=True):
+            self.step()
+            known[at] = tried
+        tasks = [(some, [trial for _, at in some for trial in known[at]]) for some in spots]
+        found = self.each(partial(best_sets, scan, free, 2, _LAWS), tasks)
+        sets = [one for some in found for one in some]
         return [scan.hypothesis(item, free) for item in several.distinct(sets)]
 
     def _several(self, base: Scan, *, one_place: bool) -> tuple[Ranked, ...]:
@@ -245,7 +249,7 @@ class Search:
             for size in range(1, MOST_EFFECTS + 1):
                 low = 0.7 + 0.02 * size + 0.06 * bool(free.any())
                 self._begin(f"{size} effects{' beside linear elements' if free.any() else ''}", low, low + 0.02)
-                sets = several.grown(base, sets, free)
+                sets = several.grown(base, sets, free, self.each)
                 if not sets or (size == 1 and not free.any()):
                     continue
                 stage = self.compete(several.hypotheses(base, sets, free))
@@ -258,10 +262,9 @@ class Search:
         """Three laws where all that is missing acts at one place."""
         self._begin("three effects", 0.7, 0.8)
         alike = _alike(scan.places(scan.none))
-        alone = [trial for place in alike for trial in scan.trials(*place, scan.none)]
-        return self.compete(
-            several.hypotheses(scan, Combinations(scan, alike, scan.none, alone).best(3, 4), scan.none)
-        )
+        tried = self.each(partial(trials_at, scan, scan.none), alike)
+        every = Combinations(scan, alike, scan.none, [trial for some in tried for trial in some])
+        return self.compete(several.hypotheses(scan, every.best(3, 4, self.each), scan.none))
 
     def compete(self, found: Sequence[Found]) -> tuple[Ranked, ...]:
         """Fit the better regressions to the output and rank them by the Bayesian information criterion."""
@@ -273,12 +276,10 @@ class Search:
             return ()
         close = [item for item in found[:_COMPETING] if item.rest - 1 <= max(0.3, 4 * least)]
         ranked = []
-        for item in close:
+        for refined in self.each(
+            partial(_fitted, self.setting, self.few, self.aside), [item.hypothesis for item in close]
+        ):
             self.step()
-            refined = refine(self.setting, item.hypothesis, self.few, self.aside, 3)
-            sharper = significant(refined, {own.key for own in own_elements(self.setting.model)})
-            if refined.settled and sharper.size < refined.hypothesis.size:
-                refined = refine(self.setting, sharper, self.few, self.aside, 2)
             if refined.settled:
                 ranked.append(Ranked(refined, self.score(refined)))
         return tuple(sorted(ranked, key=lambda item: item.score))
@@ -294,6 +295,15 @@ class Search:
         linear = Hypothesis(linear=best.hypothesis.linear)
         scan = self.scan(replace(self.setting, model=apply(self.setting.model, linear)))
         return scan.places(scan.none)
+
+
+def _fitted(setting: Setting, few: Indices, aside: Indices, hypothesis: Hypothesis) -> Refined:
+    """A hypothesis fitted to the output, without the linear changes that are none."""
+    refined = refine(setting, hypothesis, few, aside, 3)
+    sharper = significant(refined, {own.key for own in own_elements(setting.model)})
+    if refined.settled and sharper.size < refined.hypothesis.size:
+        refined = refine(setting, sharper, few, aside, 2)
+    return refined
 
 
 def spread(experiments: Indices, most: int) -> Indices:

@@ -5,11 +5,13 @@ inner parameters are searched in turn, and every member of the best set is dropp
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from creak.gap.scan import Found, Scan, Trial
+from creak.gap.scan import Found, Place, Scan, Trial
+from creak.mechanics.steady import Each
 
 _WIDE = 3  # sets kept at every size
 _PLACES = 5  # places at which a further law is tried
@@ -21,7 +23,7 @@ _GAIN = 0.98  # of the rest that a swap must leave
 Set = tuple[Trial, ...]
 
 
-def grown(scan: Scan, sets: Sequence[Set], free: NDArray[np.bool_]) -> list[Set]:
+def grown(scan: Scan, sets: Sequence[Set], free: NDArray[np.bool_], each: Each = map) -> list[Set]:
     """Sets with one law more, the best first.
 
     Parameters
@@ -31,12 +33,15 @@ def grown(scan: Scan, sets: Sequence[Set], free: NDArray[np.bool_]) -> list[Set]
         The best so far, of one size; one empty set to begin with.
     free : array of bool, (K,)
         Linear elements fitted beside them.
+    each : callable
+        What the laws of places and the sets are tried by, as for `simulate_steady`.
     """
-    found = [(*have, more) for have in sets for more in _further(scan, have, free)]
+    further = _further(scan, sets, free, each)
+    found = [(*have, more) for have, some in zip(sets, further, strict=True) for more in some]
     found = distinct(sorted(found, key=lambda item: item[-1].rest))[:_WIDE]
-    polished = sorted((polish(scan, item, free) for item in found), key=rest)
+    polished = sorted(each(partial(polish, scan, free=free), found), key=rest)
     if polished and len(polished[0]) > 1 and rest(polished[0]) > _ENOUGH:
-        polished = sorted([swapped(scan, polished[0], free), *polished[1:]], key=rest)
+        polished = sorted([swapped(scan, polished[0], free, each), *polished[1:]], key=rest)
     return polished
 
 
@@ -67,16 +72,16 @@ def turn(scan: Scan, trials: Set, free: NDArray[np.bool_]) -> Set:
     return trials
 
 
-def swapped(scan: Scan, trials: Set, free: NDArray[np.bool_]) -> Set:
+def swapped(scan: Scan, trials: Set, free: NDArray[np.bool_], each: Each = map) -> Set:
     """Drop each member and search its place anew; again while that pays."""
     for _ in range(len(trials)):
         best = trials
-        for i in range(len(trials)):
-            others = (*trials[:i], *trials[i + 1 :])
-            for more in _further(scan, others, free)[:1]:
-                new = polish(scan, (*others, more), free)
-                if rest(new) < _GAIN * rest(best):
-                    best = new
+        fewer = [(*trials[:i], *trials[i + 1 :]) for i in range(len(trials))]
+        further = _further(scan, fewer, free, each)
+        others = [(*have, more) for have, some in zip(fewer, further, strict=True) for more in some[:1]]
+        for new in each(partial(polish, scan, free=free), others):
+            if rest(new) < _GAIN * rest(best):
+                best = new
         if best is trials:
             break
         trials = best
@@ -88,18 +93,30 @@ def hypotheses(scan: Scan, sets: Sequence[Set], free: NDArray[np.bool_]) -> list
     return [scan.hypothesis(trials, free) for trials in sets]
 
 
-def _further(scan: Scan, have: Set, free: NDArray[np.bool_]) -> list[Trial]:
-    """Laws that a set lacks, at the places where a free force leaves least beside it."""
+def _further(scan: Scan, sets: Sequence[Set], free: NDArray[np.bool_], each: Each) -> list[list[Trial]]:
+    """For every set laws that it lacks, the best first."""
+    at_places = each(partial(_places, scan, free), sets)
+    wanted = [(k, place) for k, places in enumerate(at_places) for place in places]
+    found: list[list[Trial]] = [[] for _ in sets]
+    tried = each(partial(_laws, scan, free), [(sets[k], place) for k, place in wanted])
+    for (k, _), trials in zip(wanted, tried, strict=True):
+        found[k] += trials
+    return [sorted(trials, key=lambda trial: trial.rest) for trials in found]
+
+
+def _places(scan: Scan, free: NDArray[np.bool_], have: Set) -> list[Place]:
+    """Places where a free force leaves least beside a set."""
     seen = scan.beside(have, free)
-    places = seen.places(seen.none)
-    if scan.view.rig.n > 1:
-        places = places[:_PLACES]
-    found = []
+    places = [(group, at) for _, group, at in seen.places(seen.none)]
+    return places[:_PLACES] if scan.view.rig.n > 1 else places
+
+
+def _laws(scan: Scan, free: NDArray[np.bool_], beside: tuple[Set, Place]) -> list[Trial]:
+    """Laws of one place that a set lacks."""
+    have, (group, at) = beside
+    trials = scan.trials(group, at, free, [trial.column for trial in have])[:_LAWS]
     names = {(trial.candidate.kind, trial.candidate.at) for trial in have}
-    for _, group, at in places:
-        trials = scan.trials(group, at, free, [trial.column for trial in have])[:_LAWS]
-        found += [t for t in trials if np.isfinite(t.rest) and (t.candidate.kind, t.candidate.at) not in names]
-    return sorted(found, key=lambda trial: trial.rest)
+    return [t for t in trials if np.isfinite(t.rest) and (t.candidate.kind, t.candidate.at) not in names]
 
 
 def distinct(sets: Sequence[Set]) -> list[Set]:

@@ -6,7 +6,8 @@ sensor that has spoilt the motion of its node does not mislead the laws that act
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Final
 
@@ -15,6 +16,7 @@ import numpy as np
 from creak.gap.combinations import Combinations
 from creak.gap.scan import Found, Place, Scan, Trial
 from creak.gap.view import View, samples_of
+from creak.mechanics.steady import Each
 from creak.records import Complex, Real
 
 NOISE: Final = 1.15  # what free forces at the right places leave at most, relative to noise
@@ -39,55 +41,81 @@ class Together:
     Parameters
     ----------
     scan : Scan
+    each : callable
+        What places and sets are tried by, as for `creak.gap.search.Search`.
     """
 
-    def __init__(self, scan: Scan) -> None:
-        self.scan = scan
-        self._known: dict[tuple[Spot, frozenset[Spot], bool], list[Laws]] = {}
+    def __init__(self, scan: Scan, each: Each = map) -> None:
+        self.scan, self.each = scan, each
 
     def run(self) -> list[Found]:
         """Hypotheses of a law at every place of a set, or two at one of two places; the best first."""
         sets = spot_sets(self.scan)
-        found = [item for spots in sets for item in self._found(spots, None)]
+        found = self._found([_Sought(spots, None) for spots in sets])
         if not found and sets and len(sets[0]) == 2:
-            found = [item for spots in sets for double in spots for item in self._found(spots, double)]
+            found = self._found([_Sought(spots, double) for spots in sets for double in spots])
         return sorted(found, key=lambda item: item.rest)
 
-    def _found(self, spots: Sequence[Spot], double: Spot | None) -> list[Found]:
-        """Hypotheses for one set of places; two laws at `double`."""
-        options = []
-        for spot in sorted(spots, key=lambda item: item == double):
-            laws = self._laws(spot, [other for other in spots if other != spot], double=spot == double)
-            if not laws:
-                return []
-            options.append(laws)
-        view = self._seen(spots)
-        whole = Scan(view, *self.scan.sums.sets, self.scan.floor)
-        joint = sorted(product(*options), key=lambda laws: sum(_rest(item) for item in laws))[:_JOINT]
-        return [
-            whole.hypothesis([_whole(view, trial) for item in laws for trial in item], whole.none)
-            for laws in joint
+    def _found(self, sought: Sequence["_Sought"]) -> list[Found]:
+        """Hypotheses for sets of places; a set is given up at the first place that no law explains."""
+        known: dict[_Key, list[Laws]] = {}
+        left = list(sought)
+        for k in range(max((len(one.keys) for one in left), default=0)):
+            new = list(dict.fromkeys(one.keys[k] for one in left if one.keys[k] not in known))
+            known.update(zip(new, self.each(partial(_laws, self.scan), new), strict=True))
+            left = [one for one in left if known[one.keys[k]]]
+        options = [(one.spots, [known[key] for key in one.keys]) for one in left]
+        return [item for some in self.each(partial(_joint, self.scan), options) for item in some]
+
+
+@dataclass(frozen=True)
+class _Key:
+    """Laws of one place, those of the others free; two at a time if it is `double`."""
+
+    spot: Spot
+    others: tuple[Spot, ...]
+    double: bool
+
+
+class _Sought:
+    """One set of places; two laws at `double`, which comes last."""
+
+    def __init__(self, spots: tuple[Spot, ...], double: Spot | None) -> None:
+        self.spots = spots
+        self.keys = [
+            _Key(spot, tuple(sorted(other for other in spots if other != spot)), spot == double)
+            for spot in sorted(spots, key=lambda item: item == double)
         ]
 
-    def _laws(self, spot: Spot, others: Sequence[Spot], *, double: bool) -> list[Laws]:
-        """Best laws at one place, or pairs of them, the forces at the others left free; none if all fail."""
-        key = spot, frozenset(others), double
-        if key not in self._known:
-            view = opened(self._seen([spot, *others]), [other[0] for other in others])
-            alone = Scan(view, *self.scan.sums.sets, self.scan.floor * _left(view))
-            single = [trial for group, at in spot for trial in alone.trials(group, at, alone.none)]
-            single = sorted((trial for trial in single if np.isfinite(trial.rest)), key=lambda trial: trial.rest)
-            laws: list[Laws] = [(trial,) for trial in single[:_LAWS]]
-            if double:
-                laws = list(Combinations(alone, spot, alone.none, single).best(2, _LAWS))
-            bound = max(_FAILED, _HOPELESS * alone.rest())
-            self._known[key] = sorted((item for item in laws if _rest(item) < bound), key=_rest)
-        return self._known[key]
 
-    def _seen(self, spots: Sequence[Spot]) -> View:
-        """View whose motion no sensor has spoilt."""
-        places = [spot[0] for spot in spots]
-        return moved(self.scan.view, places) if any(group == "sensor" for group, _ in places) else self.scan.view
+def _joint(scan: Scan, options: tuple[Sequence[Spot], Sequence[Sequence[Laws]]]) -> list[Found]:
+    """Hypotheses of the best combinations of laws, a choice for every place of a set."""
+    spots, laws = options
+    view = _seen(scan, spots)
+    whole = Scan(view, *scan.sets, scan.floor)
+    joint = sorted(product(*laws), key=lambda some: sum(_rest(item) for item in some))[:_JOINT]
+    return [
+        whole.hypothesis([_whole(view, trial) for item in some for trial in item], whole.none) for some in joint
+    ]
+
+
+def _laws(scan: Scan, key: _Key) -> list[Laws]:
+    """Best laws at one place, or pairs of them, the forces at the others left free; none if all fail."""
+    view = opened(_seen(scan, [key.spot, *key.others]), [other[0] for other in key.others])
+    alone = Scan(view, *scan.sets, scan.floor * _left(view))
+    single = [trial for group, at in key.spot for trial in alone.trials(group, at, alone.none)]
+    single = sorted((trial for trial in single if np.isfinite(trial.rest)), key=lambda trial: trial.rest)
+    laws: list[Laws] = [(trial,) for trial in single[:_LAWS]]
+    if key.double:
+        laws = list(Combinations(alone, key.spot, alone.none, single).best(2, _LAWS))
+    bound = max(_FAILED, _HOPELESS * alone.rest())
+    return sorted((item for item in laws if _rest(item) < bound), key=_rest)
+
+
+def _seen(scan: Scan, spots: Sequence[Spot]) -> View:
+    """View whose motion no sensor has spoilt."""
+    places = [spot[0] for spot in spots]
+    return moved(scan.view, places) if any(group == "sensor" for group, _ in places) else scan.view
 
 
 def spot_sets(scan: Scan) -> list[tuple[Spot, ...]]:

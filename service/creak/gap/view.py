@@ -11,6 +11,7 @@ import numpy as np
 import scipy.fft
 
 from creak.errors import ConfigurationError
+from creak.gap.layout import settle
 from creak.gap.periodic import PeriodicData
 from creak.mechanics.effects import GROUND
 from creak.mechanics.electronics import AT_REST, Actuator, Sensor
@@ -74,6 +75,10 @@ class View:
     r: Complex
     names: tuple[str, ...]
     opened: Complex | None = None
+
+    def __post_init__(self) -> None:
+        """Settle the layout."""
+        settle(self)
 
     def weights(self, at: tuple[str, ...]) -> Real:
         """Incidence of an internal place over the names, ``(n,)`` where all are measured."""

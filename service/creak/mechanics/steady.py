@@ -42,13 +42,14 @@ PASSES: Final = 100  # periods within which an actuator's memory repeats itself
 # An iterate may run away; it is then found not to be finite.
 _UNHEEDED: Final = partial(np.errstate, over="ignore", invalid="ignore", divide="ignore")
 
+_Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 
 class Each(Protocol):
     """Applies a function to every item and gives the results in their order, as `map` and a pool's `map` do."""
 
-    def __call__(self, function: Callable[[int], _Result], items: Iterable[int], /) -> Iterable[_Result]:
+    def __call__(self, function: Callable[[_Item], _Result], items: Iterable[_Item], /) -> Iterable[_Result]:
         """Apply."""
         ...
 
