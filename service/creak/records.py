@@ -189,15 +189,15 @@ class NodeLevel:
     """
 
     name: str
-    signal_db: float | None
-    noise_db: float | None
-    total_db: float | None
-    nonlinear_db: float | None
-    total_to_noise_db: float | None
-    classical_noise_db: float | None
-    classical_total_db: float | None
-    classical_total_to_noise_db: float | None
-    p_value: float | None
+    signal_db: float | None = None
+    noise_db: float | None = None
+    total_db: float | None = None
+    nonlinear_db: float | None = None
+    total_to_noise_db: float | None = None
+    classical_noise_db: float | None = None
+    classical_total_db: float | None = None
+    classical_total_to_noise_db: float | None = None
+    p_value: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from creak.api.models import Answer, Decibels
 from creak.api.paging import CursorText, Limit, read_cursor, write_cursor
 from creak.api.problems import unknown_node, unknown_rig
 from creak.baseline import Baseline as Learnt
-from creak.codec import time_json
+from creak.codec import moment_json, time_json
 from creak.sinks import baselines, queries
 
 router = APIRouter(prefix="/rigs", tags=["rigs"])
@@ -94,7 +94,7 @@ def list_baselines(
     rest = first + limit
     return {
         "rig": rig,
-        "time": None if time is None else time_json(time),
+        "time": moment_json(time),
         "items": items[first:rest],
         "next": write_cursor((rest,) if rest < len(items) else None, of),
     }

@@ -20,7 +20,7 @@ from creak.api.webhook_models import (
     WebhookBody,
     WebhookPage,
 )
-from creak.codec import time_json
+from creak.codec import moment_json, time_json
 from creak.errors import RefusedAddressError
 from creak.sinks import audit, outbox, receivers
 from creak.sinks.receivers import Receiver
@@ -209,6 +209,6 @@ def _shown(receiver: Receiver, waiting: int) -> Json:
         "enabled": receiver.enabled,
         "reason": receiver.reason,
         "created_at": time_json(receiver.created_at),
-        "failing_since": None if since is None else time_json(since),
+        "failing_since": moment_json(since),
         "waiting": waiting,
     }

@@ -1,9 +1,9 @@
 """A diagnosis as the JSON of ``creak diagnose --json`` and the API; the first keys are the public contract."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
+from creak.codec.json_face import number_json
 from creak.gap.records import (
     BandShare,
     Cause,
@@ -45,7 +45,7 @@ def diagnosis_json(diagnosis: Diagnosis, validation: Validation | None = None) -
         ],
         "linear_corrections": [_correction(correction) for correction in diagnosis.linear_corrections],
         "held_out_realisations": diagnosis.held_out_realisations,
-        "unknown_probability": _number(diagnosis.unknown_probability),
+        "unknown_probability": number_json(diagnosis.unknown_probability),
         "bands": [_band(band) for band in diagnosis.bands],
         "curves": [_curve(curve) for curve in diagnosis.curves],
         "tested": list(diagnosis.tested),
@@ -56,34 +56,34 @@ def diagnosis_json(diagnosis: Diagnosis, validation: Validation | None = None) -
 
 def _levels(gap: GapLevels) -> Json:
     return {
-        "before_db": _number(gap.before_db),
-        "after_db": _number(gap.after_db),
-        "noise_db": _number(gap.noise_db),
-        "closed": _number(gap.closed),
+        "before_db": number_json(gap.before_db),
+        "after_db": number_json(gap.after_db),
+        "noise_db": number_json(gap.noise_db),
+        "closed": number_json(gap.closed),
     }
 
 
 def _node(node: NodeGap) -> Json:
     return {
         "name": node.name,
-        "before_db": _number(node.before_db),
-        "after_db": _number(node.after_db),
-        "noise_db": _number(node.noise_db),
-        "linear_share": _number(node.linear_share),
-        "nonlinear_share": _number(node.nonlinear_share),
-        "noise_share": _number(node.noise_share),
+        "before_db": number_json(node.before_db),
+        "after_db": number_json(node.after_db),
+        "noise_db": number_json(node.noise_db),
+        "linear_share": number_json(node.linear_share),
+        "nonlinear_share": number_json(node.nonlinear_share),
+        "noise_share": number_json(node.noise_share),
     }
 
 
 def _where(place: MissingForce) -> Json:
     return {
         "at": list(place.at),
-        "share": _number(place.share),
-        "band_hz": [_number(edge) for edge in place.band_hz],
+        "share": number_json(place.share),
+        "band_hz": [number_json(edge) for edge in place.band_hz],
         "pattern": place.pattern,
-        "residual": _number(place.residual),
-        "position": _number(place.position),
-        "position_standard_error": _number(place.position_error),
+        "residual": number_json(place.residual),
+        "position": number_json(place.position),
+        "position_standard_error": number_json(place.position_error),
     }
 
 
@@ -93,8 +93,8 @@ def _cause(cause: Cause) -> Json:
         "at": list(cause.at),
         "parameters": _numbers(cause.parameters),
         "standard_errors": _numbers(cause.standard_errors),
-        "probability": _number(cause.probability),
-        "gap_after_db": _number(cause.gap_after_db),
+        "probability": number_json(cause.probability),
+        "gap_after_db": number_json(cause.gap_after_db),
         "before": None if cause.before is None else _numbers(cause.before),
     }
 
@@ -103,23 +103,23 @@ def _correction(correction: LinearCorrection) -> Json:
     return {
         "element": correction.element,
         "parameter": correction.parameter,
-        "from": _number(correction.before),
-        "to": _number(correction.after),
-        "standard_error": _number(correction.standard_error),
+        "from": number_json(correction.before),
+        "to": number_json(correction.after),
+        "standard_error": number_json(correction.standard_error),
     }
 
 
 def _band(band: BandShare) -> Json:
     return {
         "node": band.node,
-        "band_hz": [_number(edge) for edge in band.band_hz],
-        "gap_db": _number(band.gap_db),
-        "linear_share": _number(band.linear_share),
-        "nonlinear_share": _number(band.nonlinear_share),
-        "noise_share": _number(band.noise_share),
-        "linear_error": _number(band.linear_error),
-        "nonlinear_error": _number(band.nonlinear_error),
-        "noise_error": _number(band.noise_error),
+        "band_hz": [number_json(edge) for edge in band.band_hz],
+        "gap_db": number_json(band.gap_db),
+        "linear_share": number_json(band.linear_share),
+        "nonlinear_share": number_json(band.nonlinear_share),
+        "noise_share": number_json(band.noise_share),
+        "linear_error": number_json(band.linear_error),
+        "nonlinear_error": number_json(band.nonlinear_error),
+        "noise_error": number_json(band.noise_error),
     }
 
 
@@ -144,12 +144,8 @@ def _validation(validation: Validation) -> Json:
 
 
 def _numbers(values: Mapping[str, float]) -> Json:
-    return {name: _number(value) for name, value in values.items()}
+    return {name: number_json(value) for name, value in values.items()}
 
 
 def _samples(values: Real) -> list[float | None]:
-    return [_number(value) for value in values.tolist()]
-
-
-def _number(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(value)
+    return [number_json(value) for value in values.tolist()]

@@ -47,6 +47,11 @@ def time_json(time: int) -> str:
     return f"{moment}.{rest // 1000:06d}Z" if rest % 1000 == 0 else f"{moment}.{rest:09d}Z"
 
 
+def moment_json(time: int | None) -> str | None:
+    """Write a recorded time that there may not be."""
+    return None if time is None else time_json(time)
+
+
 def parse_time(text: str) -> int:
     """Read an ISO 8601 time or date as nanoseconds since the Unix epoch.
 
@@ -87,16 +92,16 @@ def node_json(level: NodeLevel, alarm: AlarmState) -> dict[str, Any]:
     """Show a node with its levels and the state of its alarm."""
     return {
         "name": level.name,
-        "signal_db": _number(level.signal_db),
-        "noise_db": _number(level.noise_db),
-        "total_db": _number(level.total_db),
-        "nonlinear_db": _number(level.nonlinear_db),
-        "total_to_noise_db": _number(level.total_to_noise_db),
-        "classical_total_to_noise_db": _number(level.classical_total_to_noise_db),
-        "p_value": _number(level.p_value),
+        "signal_db": number_json(level.signal_db),
+        "noise_db": number_json(level.noise_db),
+        "total_db": number_json(level.total_db),
+        "nonlinear_db": number_json(level.nonlinear_db),
+        "total_to_noise_db": number_json(level.total_to_noise_db),
+        "classical_total_to_noise_db": number_json(level.classical_total_to_noise_db),
+        "p_value": number_json(level.p_value),
         "alarm": alarm.value,
-        "classical_noise_db": _number(level.classical_noise_db),
-        "classical_total_db": _number(level.classical_total_db),
+        "classical_noise_db": number_json(level.classical_noise_db),
+        "classical_total_db": number_json(level.classical_total_db),
     }
 
 
@@ -104,8 +109,8 @@ def element_json(element: ElementShare) -> dict[str, Any]:
     """Show a place where distortion acts."""
     return {
         "between": list(element.between),
-        "share": _number(element.share),
-        "confidence": _number(element.confidence),
+        "share": number_json(element.share),
+        "confidence": number_json(element.confidence),
         "separable": element.separable,
     }
 
@@ -114,10 +119,10 @@ def detection_json(level: DetectionLevel) -> dict[str, Any]:
     """Show what the lines left out say about a node."""
     return {
         "name": level.name,
-        "excited_db": _number(level.excited_db),
-        "odd_db": _number(level.odd_db),
-        "even_db": _number(level.even_db),
-        "noise_db": _number(level.noise_db),
+        "excited_db": number_json(level.excited_db),
+        "odd_db": number_json(level.odd_db),
+        "even_db": number_json(level.even_db),
+        "noise_db": number_json(level.noise_db),
     }
 
 
@@ -134,14 +139,14 @@ def alarm_json(change: AlarmChange) -> dict[str, Any]:
         "acknowledged": change.acknowledged,
         "shelved": change.shelved,
         "since": time_json(change.since),
-        "level_db": _number(change.level_db),
+        "level_db": number_json(change.level_db),
         "event": change.event,
         "time": time_json(change.time),
         "version": change.version,
         "condition": change.condition,
         "by": change.by,
         "comment": change.comment,
-        "shelved_until": None if change.shelved_until is None else time_json(change.shelved_until),
+        "shelved_until": moment_json(change.shelved_until),
         "suppressed": change.suppressed,
         "out_of_service": change.out_of_service,
         "latched": change.latched,
@@ -185,7 +190,7 @@ def summary_json(
     unavailable : iterable of str
         What the data do not carry, beyond what the estimate says itself.
     """
-    nodes = estimate.nodes if estimate is not None else tuple(map(_unknown_level, alarms))
+    nodes = estimate.nodes if estimate is not None else tuple(map(NodeLevel, alarms))
     said = (*(estimate.unavailable if estimate is not None else ()), *unavailable)
     return {
         "rig": rig_name,
@@ -245,26 +250,23 @@ def _significance(spectra: Spectra, column: int) -> dict[str, Any]:
             "from_hz": float(spectra.frequency[band][0]),
             "to_hz": float(spectra.frequency[band][-1]),
             "lines": len(spectra.frequency[band]),
-            "p_value": _number(float(pooled_p_value(p[band]))),
-            "classical_p_value": _number(float(pooled_p_value(classical[band]))),
+            "p_value": number_json(float(pooled_p_value(p[band]))),
+            "classical_p_value": number_json(float(pooled_p_value(classical[band]))),
         }
         for band in (slice(0, lines), *octaves(spectra.frequency))
     ]
     return {
-        "p_value": [_number(value) for value in p.tolist()],
-        "q_value": [_number(value) for value in q.tolist()],
-        "classical_p_value": [_number(value) for value in classical.tolist()],
+        "p_value": [number_json(value) for value in p.tolist()],
+        "q_value": [number_json(value) for value in q.tolist()],
+        "classical_p_value": [number_json(value) for value in classical.tolist()],
         "false_discovery_rate": FALSE_DISCOVERIES,
         "significant": [None if math.isnan(value) else value <= FALSE_DISCOVERIES for value in q.tolist()],
         "bands": bands if lines else [],
     }
 
 
-def _unknown_level(name: str) -> NodeLevel:
-    return NodeLevel(name, math.nan, None, None, None, None, None, None, None, None)
-
-
-def _number(value: float | None) -> float | None:
+def number_json(value: float | None) -> float | None:
+    """Write a number; JSON has none for what is not finite."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import sqlalchemy as sa
 
-from creak.codec import time_json
+from creak.codec import moment_json, time_json
 from creak.sinks import tables
 from creak.sinks.database import Store
 from creak.sinks.queries import Slice
@@ -262,15 +262,11 @@ def _shown(row: sa.RowMapping) -> Json:
         "reason": row["reason"],
         "request": row["request"],
         "created_at": time_json(row["created_at"]),
-        "started_at": _time(row["started_at"]),
-        "ended_at": _time(row["ended_at"]),
+        "started_at": moment_json(row["started_at"]),
+        "ended_at": moment_json(row["ended_at"]),
         "report": None if row["report"] is None else f"/api/v1/diagnoses/{row['id']}/report",
         "result": None if row["result"] is None else json.loads(row["result"]),
     }
-
-
-def _time(moment: int | None) -> str | None:
-    return None if moment is None else time_json(moment)
 
 
 def _task(stored: Mapping[str, Any]) -> Task:

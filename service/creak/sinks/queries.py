@@ -6,7 +6,6 @@ written while somebody walks through the pages are neither met twice nor push ot
 """
 
 import json
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from creak.alarm_records import AlarmRules
-from creak.codec import alarm_json, fault_json, node_json, spectrum_json, time_json
+from creak.codec import alarm_json, fault_json, moment_json, node_json, spectrum_json, time_json
 from creak.quality import FLAWS
 from creak.records import AlarmChange, AlarmState, Estimate, Fault, FaultKind, NodeLevel, Scope, Spectra
 from creak.sinks import tables
@@ -97,7 +96,7 @@ def nodes(connection: sa.Connection, run: Row, scope: Scope) -> list[Json]:
     items = []
     for node in run["nodes"]:
         name, state = node["name"], states.get(node["name"], AlarmState.NORMAL)
-        level = _level(found[name]) if name in found else _no_level(name)
+        level = _level(found[name]) if name in found else NodeLevel(name)
         detection = {key: value for key, value in said.get(name, {}).items() if key != "name"} or None
         units = {"input": node["input"], "output": node["output"]}
         items.append({**node_json(level, state), **about, **units, "detection": detection})
@@ -271,7 +270,7 @@ def recordings(connection: sa.Connection, rig_name: str | None, after: int | Non
         {
             **{name: row[name] for name in ("id", "rig", "run", "path", "status", "size")},
             "start": time_json(row["start"]),
-            "end": _time(row["end"]),
+            "end": moment_json(row["end"]),
         }
         for row in rows[:limit]
     ]
@@ -313,9 +312,9 @@ def _rig(connection: sa.Connection, row: Row) -> Json:
         "source": row["source"],
         "software": row["software"],
         "start": time_json(row["start"]),
-        "last": _time(row["last"]),
-        "end": _time(row["end"]),
-        "heard_at": _time(row["heard_at"]),
+        "last": moment_json(row["last"]),
+        "end": moment_json(row["end"]),
+        "heard_at": moment_json(row["heard_at"]),
         "nodes": [node["name"] for node in row["nodes"]],
         "frames": row["frames"],
         "rejected_frames": row["rejected_frames"],
@@ -362,12 +361,3 @@ def _moment(row: Row) -> Json:
 
 def _level(row: Row) -> NodeLevel:
     return NodeLevel(**{name: row[name] for name in _LEVELS})
-
-
-def _no_level(name: str) -> NodeLevel:
-    """Return a node of which nothing is known yet."""
-    return NodeLevel(name, math.nan, *[None] * (len(_LEVELS) - 2))
-
-
-def _time(recorded: int | None) -> str | None:
-    return None if recorded is None else time_json(recorded)
