@@ -97,6 +97,7 @@ SIMULATE = ["simulate", "--model", "model.toml", "--rig", "rig.toml", "--output"
         ([*SIMULATE, "--start", "yesterday"], ["--start", "yesterday", "ISO 8601"]),
         ([*SIMULATE[:-1], "nowhere/x.mcap"], ["nowhere", "directory"]),
         ([*SIMULATE[:-1], "."], ["directory"]),
+        ([*SIMULATE[:-1], "/proc/x.mcap"], ["--output", "/proc/x.mcap", "cannot be written"]),
         (["simulate", "--model", "no.toml", "--rig", "rig.toml", "--output", "x.mcap"], ["no.toml"]),
         (["simulate", "--model", "rig.toml", "--rig", "rig.toml", "--output", "x.mcap"], ["rig.toml"]),
         (["import", "nowhere.npz", "--rig", "rig.toml", "--output", "x.mcap"], ["nowhere.npz"]),
@@ -203,6 +204,13 @@ def test_a_cut_recording_says_so(small, capsys):
     assert document["truncated"] is True
     assert 0 < document["realisations"] < 3
     assert document["frames"] == document["realisations"] * 4
+    (small / "cut.mcap").write_bytes(whole[:-1])
+    assert run(["replay", "cut.mcap", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["truncated"] is True
+    assert (
+        captured.err == "creak: cut.mcap: has no end: it was cut after a whole chunk, or is still being written\n"
+    )
 
 
 def test_start_sets_the_recorded_time(small):

@@ -52,6 +52,25 @@ position = 0.1
 """
 
 
+@pytest.mark.parametrize("effect", ["clearance", "hysteresis", "quadratic_stiffness", "one_sided_stop"])
+def test_the_ground_may_come_first_where_the_law_is_odd(effect):
+    """Kills an even law that is turned round with its sign unchanged."""
+    parameters = {
+        "hysteresis": "stiffness = 1e5\nyield_displacement = 1e-3",
+        "quadratic_stiffness": "coefficient = 1e5",
+    }
+    text = LUMPED.replace("clearance", effect).replace(
+        "stiffness = 1e5\ngap = 1e-3", parameters.get(effect, "stiffness = 1e5\ngap = 1e-3")
+    )
+    swapped = text.replace('at = ["1", "ground"]', 'at = ["ground", "1"]')
+    assert swapped != text
+    if effect in ("clearance", "hysteresis"):
+        assert parse_model(swapped, "model.toml").effects == parse_model(text, "model.toml").effects
+    else:
+        with pytest.raises(ConfigurationError, match="in this order"):
+            parse_model(swapped, "model.toml")
+
+
 @pytest.mark.parametrize(
     ("folder", "name", "effects"),
     [

@@ -199,7 +199,7 @@ class OpenedRecording:
     @property
     def damage(self) -> tuple[str, ...]:
         """A line for each stretch of the file that could not be read."""
-        return tuple(self._recording.damage) if self._findings else ()
+        return self._recording.losses if self._findings else ()
 
     def __repr__(self) -> str:
         """Name what it is a recording of, without reading it."""

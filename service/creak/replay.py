@@ -177,7 +177,7 @@ def replayed(
         alarms=dict(monitor.alarms),
         windows=newest.windows,
         truncated=recording.truncated,
-        damage=tuple(recording.damage),
+        damage=recording.losses,
         quality=newest.quality,
     )
     return Replayed((told,), monitor.checkpoint.whole)

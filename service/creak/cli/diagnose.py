@@ -107,7 +107,7 @@ def diagnose(
             page.write_text(write_page(found, holding, recording.run, name, source.name), encoding="utf-8")
         if saved is not None and save_model is not None:
             saved.write_text(model_toml(moved(found.corrected, source, save_model.parent)), encoding="utf-8")
-    for line in recording.damage:
+    for line in recording.losses:
         warn(line)
     if as_json:
         typer.echo(json.dumps(diagnosis_json(found, holding), indent=1, allow_nan=False))

@@ -250,6 +250,11 @@ def whole_file(output: Path, option: str = "--output") -> Iterator[Path]:
         raise ConfigurationError(option, "", f"{output}: {problem}; should be the name of a file")
     unfinished = output.with_name(f".{output.name}.{os.getpid()}.part")
     try:
+        unfinished.touch()
+        unfinished.unlink()
+    except OSError as error:
+        raise ConfigurationError(option, "", f"{output}: cannot be written: {error.strerror}") from None
+    try:
         yield unfinished
         os.replace(unfinished, output)
     finally:

@@ -50,7 +50,7 @@ def model(
     believed = MeasuredResponse(_beside(recording, output.parent), realisations=chosen, linear=linear)
     with whole_file(output, "--output") as file:
         file.write_text(model_toml(believed), encoding="utf-8")
-    for line in read.damage:
+    for line in read.losses:
         warn(line)
 
 

@@ -11,7 +11,7 @@ from creak.config.fields import Strict
 from creak.config.validation import explain, parse_toml, read_text
 from creak.errors import ConfigurationError
 from creak.mechanics.beam import Beam, Station
-from creak.mechanics.effects import Effect
+from creak.mechanics.effects import GROUND, Effect
 from creak.mechanics.structure import Link, Lumped, Matrices, MeasuredResponse, PointMass
 from creak.mechanics.system import Model
 from creak.mechanics.vocabulary import VOCABULARY
@@ -174,6 +174,13 @@ _KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], tuple[Effect, ...], str]
 }
 
 
+_EITHER_WAY: Final = frozenset(
+    {"stiffness", "damping", "mass", "cubic_stiffness", "clearance"}
+    | {"coulomb_friction", "quadratic_damping", "hysteresis"}
+)
+"""Effects of odd law, for which ``["ground", "1"]`` is the same as ``["1", "ground"]``."""
+
+
 def _effects(tables: object, source: str) -> tuple[Effect, ...]:
     if not isinstance(tables, list):
         raise ConfigurationError(source, "effects", "must be a list of tables, [[effects]]")
@@ -206,6 +213,8 @@ def _effect(table: object, where: str, source: str) -> Effect:
     for key in parameters:
         if key not in values:
             raise ConfigurationError(source, f"{where}.{key}", f"is missing; {name} needs it")
+    if at[:1] == [GROUND] and len(at) == 2 and name in _EITHER_WAY:
+        at = at[::-1]
     try:
         return kind(tuple(at), **{key: float(value) for key, value in values.items()})
     except ConfigurationError as error:

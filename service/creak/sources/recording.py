@@ -124,6 +124,13 @@ class Recording:
             if not isinstance(record, _Damage):
                 yield record
 
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Lines that say what is lost: `damage`, or else that the file lacks its end, cut between two chunks."""
+        if self.damage or not self.truncated:
+            return tuple(self.damage)
+        return (f"{self.paths[-1].name}: has no end: it was cut after a whole chunk, or is still being written",)
+
     def close(self) -> None:
         """End the iteration after the record at hand."""
         self._closed = True
