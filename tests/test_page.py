@@ -137,6 +137,33 @@ def test_a_service_that_goes_away_is_said_and_comes_back(browser, store):
                 expect(page.get_by_role("heading", name="late")).to_be_visible()
 
 
+def test_one_request_that_fails_does_not_cut_the_page_off_for_good(browser, store):
+    """Kills figures that are called out of date while the stream of events goes on."""
+    with serving(create_app(store)) as client, visiting(browser, address(client), ["ERR_"]) as visit:
+        page = visit.go()
+        expect(page.locator("#state")).to_have_text("live")
+        page.route("**/api/v1/rigs", lambda route: route.abort("connectionreset"))
+        expect(page.locator("#state")).to_have_text("not connected")
+        page.unroute("**/api/v1/rigs")
+        expect(page.locator("#state")).to_have_text("live", timeout=15_000)
+        expect(page.locator("#banner")).to_be_hidden()
+
+
+def test_what_has_no_figure_is_not_drawn_as_the_largest(browser, store):
+    """Kills the noise of a recording without noise at 0 dB."""
+    with serving(create_app(store)) as client, visiting(browser, address(client)) as visit:
+        page = visit.go()
+        script = page.locator("script[type=module]").get_attribute("src").replace("main.js", "views/diagnoses.js")
+        draw = (
+            "async ([source, node]) => [...(await import(source)).bar(node).children].map((e) => e.classList[0])"
+        )
+        levels = {"before_db": -20.0, "after_db": -40.0, "noise_db": None}
+        found = page.evaluate(draw, [f"{address(client)}/{script}", levels])
+        assert found == ["scale", "change", "before", "after"]
+        found = page.evaluate(draw, [f"{address(client)}/{script}", {**levels, "after_db": None}])
+        assert found == ["scale", "before"]
+
+
 def test_a_recording_is_downloaded_under_its_name(browser, store, tmp_path):
     file = tmp_path / "beam-7.mcap"
     file.write_bytes(b"\x89MCAP0\r\n" + bytes(100_000))

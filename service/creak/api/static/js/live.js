@@ -32,6 +32,7 @@ export const live = {
 const listeners = new Set();
 const hearers = new Set();
 let told = false;
+let streaming = false; // whether the event stream is open
 
 /** Calls a function when anything changed, at most once a frame; returns what ends that. */
 export function subscribe(listener) {
@@ -90,6 +91,7 @@ function refreshing(task) {
     try {
       await calmly();
       live.problem = null;
+      if (streaming) found(); // a single request had failed, and the stream has not
     } catch (error) {
       live.problem = error;
       if (error instanceof Unreachable) lost();
@@ -176,6 +178,11 @@ const HEARD = {
   reset: refreshAll,
 };
 
+function found() {
+  live.connected = true;
+  live.since = null;
+}
+
 function lost() {
   if (live.connected || live.since === null) live.since = Date.now();
   live.connected = false;
@@ -186,8 +193,8 @@ function lost() {
 export function start() {
   listen({
     open(resumed) {
-      live.connected = true;
-      live.since = null;
+      streaming = true;
+      found();
       if (!resumed) refreshAll();
       else tell();
     },
@@ -196,7 +203,10 @@ export function start() {
       for (const hearer of [...hearers]) attempt(() => hearer(kind, data));
       tell();
     },
-    closed: lost,
+    closed() {
+      streaming = false;
+      lost();
+    },
   });
   setInterval(() => {
     if (live.loaded && !document.hidden) refreshRigs();

@@ -188,16 +188,16 @@ function report(job) {
   );
 }
 
-/** Before, after and noise of a node on a scale from -80 to 0 dB; the figures stand beside it. */
-function bar({ before_db: before, after_db: after, noise_db: noise }) {
+/** Before, after and noise of a node on a scale from -80 to 0 dB, but what has no figure; they stand beside it. */
+export function bar({ before_db: before, after_db: after, noise_db: noise }) {
   const x = (level) => 200 * Math.min(1, Math.max(0, 1 + level / 80));
   return svg(
     "svg",
     { viewBox: "0 0 200 18", class: "gap", "aria-hidden": "true" },
     svg("path", { d: "M0 9H200", class: "scale" }),
-    svg("path", { d: `M${x(noise)} 1V17`, class: "noise" }),
-    svg("path", { d: `M${x(before)} 9H${x(after)}`, class: "change" }),
-    svg("circle", { cx: x(before), cy: 9, r: 5, class: "before" }),
-    svg("path", { d: `M${x(after)} 3l6 6l-6 6l-6 -6z`, class: "after" }),
+    noise !== null && svg("path", { d: `M${x(noise)} 1V17`, class: "noise" }),
+    before !== null && after !== null && svg("path", { d: `M${x(before)} 9H${x(after)}`, class: "change" }),
+    before !== null && svg("circle", { cx: x(before), cy: 9, r: 5, class: "before" }),
+    after !== null && svg("path", { d: `M${x(after)} 3l6 6l-6 6l-6 -6z`, class: "after" }),
   );
 }

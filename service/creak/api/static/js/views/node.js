@@ -110,12 +110,12 @@ export async function node(root, { rig, node: name }) {
     }
   });
 
-  async function readPast() {
+  const readPast = calm(async () => {
     const last = live.rigs.get(rig)?.last;
     const from = span.value && last ? new Date(Date.parse(last) - 1000 * Number(span.value)).toISOString() : null;
     rows = await readHistory(rig, name, from);
     past.set({ rows });
-  }
+  });
 
   const readMarksAndBaselines = calm(async () => {
     const [marks, baselines] = await Promise.all([
