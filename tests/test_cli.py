@@ -170,6 +170,33 @@ def test_no_command_is_told_so(capsys):
     assert captured.err == "creak: a command is missing; those above are allowed\n"
 
 
+INTERRUPTING = """
+import sys
+class Interrupting:
+    def find_spec(self, name, *rest):
+        if name == "creak.cli.commands":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupting())
+from creak.__main__ import main
+main()
+"""
+
+
+def test_an_interrupt_is_one_line_even_while_modules_are_imported():
+    """Kills the traceback of a Ctrl-C in the first second."""
+    told = subprocess.run([sys.executable, "-c", INTERRUPTING], capture_output=True, text=True, check=False)
+    assert (told.returncode, told.stdout, told.stderr) == (130, "", "creak: interrupted\n")
+
+
+def test_an_interrupt_of_a_command_is_one_line(small, capsys, monkeypatch):
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("creak.cli.recordings.load_rig", interrupted)
+    assert run(SIMULATE) == 130
+    assert capsys.readouterr().err == "creak: interrupted\n"
+
+
 def test_an_ascii_terminal_gets_its_tables(small):
     """Kills the traceback of a character that the terminal's encoding lacks."""
     assert run([*SIMULATE, "--realisations", "2", "--snr-db", "40"]) == 0

@@ -12,6 +12,8 @@ from creak.errors import CreakError, InputError
 # typer carries a click of its own and exports this one of its errors; what it derives from are all the others.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 
+_INTERRUPTED = 130  # as a shell says of a command that Ctrl-C ended
+
 app = typer.Typer(
     name="creak",
     cls=Commands,
@@ -37,7 +39,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 done, 1 the run failed, 2 the user's input is wrong; what is wrong stands in one line on standard error.
+        0 done, 1 the run failed, 2 the user's input is wrong, 130 interrupted; what is wrong stands in one line on
+        standard error.
     """
     try:
         code = app(args=arguments, standalone_mode=False)
@@ -49,7 +52,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except CreakError as error:
         return _say(_one_line(str(error)), 1)
     except (KeyboardInterrupt, typer.Abort):
-        return _say("interrupted", 130)
+        return _say("interrupted", _INTERRUPTED)
     except MemoryError as error:
         return _say(_one_line(f"there is not enough memory: {error}".rstrip(": ")), 1)
     except BrokenPipeError:
@@ -58,6 +61,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _say(_one_line(f"{where}{error.strerror or error}"), 1)
+    except Exception as error:
+        if _interrupted(error):
+            return _say("interrupted", _INTERRUPTED)
+        raise
+    if code == _INTERRUPTED:  # typer's own answer to Ctrl-C, which says nothing
+        return _say("interrupted", _INTERRUPTED)
     return code if isinstance(code, int) else 0
 
 
@@ -67,6 +76,15 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal of ASCII shows no boxes, but must not end a command
     sys.exit(run())
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """True of an error that only follows from Ctrl-C, as those of a compiler stopped half-way."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__context__
+    return False
 
 
 def _say(line: str, code: int) -> int:
