@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from creak.cli import run
 from creak.export import write_csv, write_mat, write_uff
 from creak.notebook import open_recording
-from creak.records import Node, Rig
+from creak.records import Frame, Node, Rig
 from creak.sinks.recorder import Recorder
 from creak.sources.measurement import Measurement, read_measurement
 from creak.worker import drive
@@ -102,6 +102,18 @@ def test_a_matlab_file_tells_the_rest(three, tmp_path):
     assert found["sample_rate"] == recording.rig.sample_rate
     np.testing.assert_array_equal(found["levels"]["signal_db"], recording.levels["signal_db"])
     np.testing.assert_array_equal(found["frequencies"], recording.frequencies)
+
+
+def test_the_time_of_a_period_that_never_came_is_not_a_number(tmp_path):
+    """Kills a recording of the year 1677."""
+    taken = list(records())
+    lost = next(i for i, r in enumerate(taken) if isinstance(r, Frame) and r.realisation == 1)
+    write(tmp_path / "lost.mcap", taken[:lost] + taken[lost + 1 :])
+    recording = open_recording(tmp_path / "lost.mcap")
+    write_mat(tmp_path / "out.mat", list(recording.experiments(1, 1)), recording)
+    times = scipy.io.loadmat(tmp_path / "out.mat", squeeze_me=True)["times"]
+    assert np.isnan(times[0])
+    assert np.isfinite(times[1:]).all()
 
 
 def test_a_universal_file_is_understood_without_our_labels(three, tmp_path):

@@ -136,8 +136,8 @@ def _joined(periods: Real) -> Real:
 
 
 def _seconds(times: Any) -> Real:
-    """Seconds since the Unix epoch."""
-    return np.asarray(times.astype(np.int64) / 1e9, dtype=np.float64)
+    """Seconds since the Unix epoch; NaN of a period that never came."""
+    return np.where(np.isnat(times), np.nan, times.astype(np.int64) / 1e9)
 
 
 def _cells(texts: Sequence[str]) -> Any:
