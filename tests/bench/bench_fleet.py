@@ -7,6 +7,11 @@ comes from the service's own metrics: complete realisations against those due, f
 newest recorded time stays behind the clock, and how long it took until all that was due at the end was told. All
 rigs end their realisations within one period of four seconds, so the store gets them at once. Cores and memory are
 those of the service and its children.
+
+With ``--step K`` K rigs are added from run to run until one does not hold, and the most that does is sought
+between the last two, to a quarter of K. A run holds if no frame was lost or refused, all due realisations were
+told in time, the service lived and left memory, and the store had worked off a round of realisations before the
+next.
 """
 
 import itertools
@@ -21,7 +26,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,11 +42,13 @@ from processes import children, resident
 
 STEADY, FRAMES_EACH, PERIOD = 3, 18, 4.0  # steady periods an experiment; frames a realisation; s
 PATIENCE = 120.0  # s after which what is due and not told counts as lost
+ROUND = FRAMES_EACH * PERIOD  # s from one realisation of a rig to the next
+FREE = 1 << 30  # bytes of memory below which a run is given up
 
 
 def offsets(count):
-    """When the rigs begin, in seconds from the start of the service: evenly over a period."""
-    return [10.0 + PERIOD * k / count for k in range(count)]
+    """When the rigs begin, in seconds from the start of the service: evenly over a period, when all are set up."""
+    return [10.0 + 0.05 * count + PERIOD * k / count for k in range(count)]
 
 
 class Prepared:
@@ -83,7 +90,7 @@ def serve(folder, port, count):
     with closing(listen_on("127.0.0.1", port)) as listener:
         sources = [Prepared(rig, frames, late) for rig, late in zip(rigs, offsets(count), strict=True)]
         (folder / "begun").write_text(repr(time.time()))
-        return _run(settings, rigs, sources, listener, [[] for _ in sources])
+        return _run(settings, "fleet", rigs, sources, listener, [[] for _ in sources])
 
 
 def metrics(port):
@@ -107,6 +114,11 @@ def used(pid):
     return seconds, resident(pid)
 
 
+def available():
+    """Bytes of memory that the machine has left."""
+    return 1024 * int(re.search(r"MemAvailable:\s+(\d+)", Path("/proc/meminfo").read_text())[1])
+
+
 def measure(count, seconds):
     """Run so many rigs for so long; a row of the table."""
     with tempfile.TemporaryDirectory() as name, socket.socket() as probe:
@@ -120,9 +132,12 @@ def measure(count, seconds):
         lags = []
         try:
             samples = {}
+            setting_up = time.monotonic()
             while total(samples, "creak_frames_total") < count:  # all of them have begun
                 if service.poll() is not None:
                     raise SystemExit("the service has ended")
+                if time.monotonic() - setting_up > PATIENCE + offsets(count)[-1]:
+                    break
                 time.sleep(1.0)
                 try:
                     samples = metrics(port)
@@ -130,44 +145,96 @@ def measure(count, seconds):
                     continue
             before, begun = used(service.pid)[0], time.monotonic()
             start = float((Path(name) / "begun").read_text())
-            while time.monotonic() - begun < seconds:
+            held = "yes"
+            while time.monotonic() - begun < seconds and held == "yes":
                 time.sleep(5.0)
-                samples = metrics(port)
+                if service.poll() is not None:
+                    raise SystemExit("the service has ended")
+                if available() < FREE:
+                    held = "memory"
+                try:
+                    samples = metrics(port)
+                except (OSError, urllib.error.URLError):  # busy; the next answer tells as much
+                    continue
                 now = time.time()
                 newest = [v for (key, _), v in samples.items() if key == "creak_last_recorded_timestamp_seconds"]
-                lags.append(now - min(newest))
+                if newest:
+                    lags.append((now, now - min(newest) - PERIOD))
             took = time.monotonic() - begun
             after, mib = used(service.pid)
             ended = time.time()
             due = sum(int((ended - start - late) // (PERIOD * FRAMES_EACH)) for late in offsets(count))
             while (told := total(samples, "creak_realisations_total")) < due and time.time() - ended < PATIENCE:
-                samples = metrics(port)
+                if service.poll() is not None:
+                    raise SystemExit("the service has ended")
+                with suppress(OSError, urllib.error.URLError):
+                    samples = metrics(port)
             late = time.time() - ended
         finally:
             service.send_signal(signal.SIGTERM)
-            service.wait(60)
+            try:
+                service.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                service.kill()
+                service.wait()
         written = sum(path.stat().st_size for path in Path(name).glob("var/*.mcap")) / 1e6
+    lost = int(total(samples, "creak_faults_total", 'kind="lost"'))
+    refused = int(total(samples, "creak_frames_total", 'status="rejected"'))
+    behind = [lag for _, lag in lags]
+    # Each round of realisations comes at once; a store that keeps up has caught up some time in the last of them.
+    caught_up = min((lag for at, lag in lags if at > ended - ROUND), default=float("inf"))
+    if held == "yes" and lost + refused:
+        held = "frames"
+    if held == "yes" and told < due:
+        held = "realisations"
+    if (
+        held == "yes" and caught_up > 2 * PERIOD
+    ):  # one it lags by itself, since some rig is always at the end of one
+        held = "store"
     return {
         "rigs": count,
+        "held": held,
         "seconds": round(took),
         "realisations due": due,
         "complete": int(told),
         "all told after s": late,
-        "frames lost": int(total(samples, "creak_faults_total", 'kind="lost"')),
-        "refused": int(total(samples, "creak_frames_total", 'status="rejected"')),
-        "seconds behind": max(lags) - PERIOD,
+        "frames lost": lost,
+        "refused": refused,
+        "seconds behind": max(behind, default=float("inf")),
+        "least behind, last round": caught_up,
         "cores": (after - before) / took,
         "MiB": round(mib),
         "MB recorded": round(written),
     }
 
 
+def raised(first, step, seconds):
+    """Rows of ever more rigs until a run does not hold, then of those between the last two."""
+    rows, good, bad = [], 0, None
+    count = first
+    while bad is None or bad - good > max(1, step // 4):
+        try:
+            row = measure(count, seconds)
+        except SystemExit as why:
+            row = {"rigs": count, "held": str(why)}
+        else:
+            rows.append(row)
+        print(", ".join(f"{key} {value}" for key, value in row.items()), file=sys.stderr, flush=True)
+        good, bad = (count, bad) if row["held"] == "yes" else (good, count)
+        count = count + step if bad is None else (good + bad) // 2
+    return sorted(rows, key=lambda row: row["rigs"]), good
+
+
 def main():
     if "--serve" in sys.argv:
         folder, port, count = (sys.argv[sys.argv.index(key) + 1] for key in ("--serve", "--port", "--rigs"))
         sys.exit(serve(Path(folder), int(port), int(count)))
-    given = options(__doc__, rigs=100, seconds=160.0)
-    show("rigs on one machine", [measure(given.rigs, given.seconds)], given.json)
+    given = options(__doc__, rigs=100, seconds=160.0, step=0)
+    if not given.step:
+        show("rigs on one machine", [measure(given.rigs, given.seconds)], given.json)
+        return
+    rows, most = raised(given.rigs, given.step, given.seconds)
+    show(f"rigs on one machine: {most} hold", rows, given.json, most=most)
 
 
 if __name__ == "__main__":
