@@ -14,7 +14,7 @@ from creak.alarm_records import Action, ActionKind
 from creak.errors import StorageError
 from creak.monitor import Monitor
 from creak.records import AlarmChange, Counts, RunEnd, RunStatus
-from creak.sinks import actions, queries, tables
+from creak.sinks import actions, database, queries, tables
 from creak.sinks.background import BackgroundStore
 from creak.sinks.database import open_store
 from creak.sinks.inbox import Inbox
@@ -52,8 +52,10 @@ def count(store, table):
         return connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one()
 
 
-def test_locked_store_holds_nobody_up_and_gets_everything_afterwards(store, tmp_path):
+def test_locked_store_holds_nobody_up_and_gets_everything_afterwards(tmp_path, monkeypatch, caplog, request):
     """Kills a worker that waits for a lock, and a record that is lost because the store was busy."""
+    monkeypatch.setattr(database, "_READER_WAIT_MS", 500)
+    store = request.getfixturevalue("store")  # opened now
     desk = BackgroundStore(store, StoreSink(store))
     desk.open(RUN)
     with locked(tmp_path):
@@ -64,7 +66,7 @@ def test_locked_store_holds_nobody_up_and_gets_everything_afterwards(store, tmp_
         desk.tick(time.monotonic())
         desk.asked()
         assert time.monotonic() - begun < 1.0
-        time.sleep(5.5)  # longer than a writer waits for its turn, so that a write fails
+        wait_for(lambda: "tried again until it is written" in caplog.text)
         assert count(store, tables.alarms) == 0
     wait_for(lambda: count(store, tables.alarms) == 5)
     assert count(store, tables.estimates) == 40
