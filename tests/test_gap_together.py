@@ -1,12 +1,15 @@
 """Effects at places of their own, and two at one: places by free forces, laws one at a time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from creak.gap.chains import chained
 from creak.gap.diagnose import diagnose
 from creak.gap.records import Verdict
 from creak.gap.scan import Scan
-from creak.gap.together import Together, moved, opened, spot_sets
+from creak.gap.together import Together, _spots, moved, opened, spot_sets
 from creak.gap.view import see
 from creak.mechanics.effects import (
     Clearance,
@@ -16,7 +19,14 @@ from creak.mechanics.effects import (
     OneSidedStop,
     QuadraticDamping,
 )
-from creak.mechanics.electronics import ActuatorDeadZone, ActuatorSaturation, SensorClipping
+from creak.mechanics.electronics import (
+    ActuatorDeadZone,
+    ActuatorDelay,
+    ActuatorSaturation,
+    SensorClipping,
+    SensorDelay,
+)
+from creak.mechanics.structure import Link
 from creak.report.words import summary
 from gap_recordings import CHAIN, RIG, recording
 
@@ -92,6 +102,36 @@ def test_all_are_named_and_none_is_invented(effects):
     assert {(cause.effect, frozenset(cause.at)) for cause in found.causes} == {
         (effect.effect, frozenset(effect.at)) for effect in effects
     }
+
+
+def test_a_sensor_at_a_node_that_moves_alone_is_a_place_of_its_own():
+    """Kills laws that are tried on a motion which the sensor has spoilt, as it passed for a force at its node."""
+    loose = (*CHAIN.links[:2], Link(("2", "3"), 50.0, 0.01), CHAIN.links[3])
+    data = recording([CUBIC])
+    every = np.arange(len(data.u))
+    scan = Scan(see(RIG, replace(CHAIN, links=loose), data, 400), every[:9], every[9:], 2.0)
+    spots = {spot for some in spot_sets(scan) for spot in some} | set(_spots(scan))
+    assert (("sensor", ("3",)),) in spots
+    assert (("internal", ("3", "ground")), ("actuator", ("3",))) in spots
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (SensorDelay(("2",), 2.3e-3), SensorClipping(("2",), 1e-2)),
+        (ActuatorDelay(("2",), 2.3e-3), ActuatorDeadZone(("2",), 12.0)),
+    ],
+    ids=["sensor", "actuator"],
+)
+def test_a_delay_and_a_law_that_bends_the_same_signal_are_told(effects):
+    """Kills two effects of one channel that are taken for a sum: what is bent is late as well."""
+    scan = scanned(*effects)
+    (late, bent), (first, second) = chained(scan, (effects[0].effect.partition("_")[0], ("2",)))[:2]
+    assert (first, second) == (bent, late)
+    assert bent.candidate.kind is type(effects[1])
+    assert bent.rest < 3.0  # the samples fold what a kink makes beyond half the rate, in another way if it is late
+    assert late.inner == pytest.approx(effects[0].delay, rel=1e-2)
+    assert bent.inner == pytest.approx(next(iter(effects[1].parameters().values())), rel=1e-2)
 
 
 def test_three_laws_at_one_place_are_named_though_not_called_explained():

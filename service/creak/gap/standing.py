@@ -65,6 +65,8 @@ def standing(search: Search, final: Refined) -> Standing:
         The fit itself if the rig has one node.
     """
     setting, n = search.setting, search.setting.rig.n
+    if n == 1:
+        return Standing(final, ())
     kept, freed = final.hypothesis, list[Place]()
     again = replace(setting, data=_repeated(setting, final.hypothesis))
     while len(freed) < n - 1:
@@ -76,12 +78,12 @@ def standing(search: Search, final: Refined) -> Standing:
         left = _left(scan, freed)
         if freed and left - 1 <= _ALIKE * (_left(null, freed) - 1) + NOISE - 1:
             break
-        singles = scan.places(scan.none, freed)
-        pairs = [] if freed or n < 3 else scan.place_pairs()
+        singles = [(rest, ((group, at),)) for rest, group, at in scan.places(scan.none, freed)]
+        pairs = [] if freed or n < 3 else [(rest, (one, other)) for rest, one, other in scan.place_pairs()]
         if singles[0][0] - 1 <= _TAKEN * (left - 1):
-            best = [singles[0][1:]]
+            best = _blamed(singles, kept)
         elif pairs and pairs[0][0] - 1 <= _TAKEN**2 * (left - 1):
-            best = [*pairs[0][1:]]
+            best = _blamed(pairs, kept)
         else:
             break
         for place in best:
@@ -89,6 +91,13 @@ def standing(search: Search, final: Refined) -> Standing:
             kept = _without(kept, _of_pattern(scan, place))
     gone = tuple(place for place in places_of(final.hypothesis) if place not in places_of(kept))
     return Standing(_part(final, kept), gone)
+
+
+def _blamed(ranked: Sequence[tuple[float, tuple[Place, ...]]], kept: Hypothesis) -> tuple[Place, ...]:
+    """Of the places that take as much as the best, those at which most laws were found."""
+    named = {(group, frozenset(at)) for group, at in places_of(kept)}
+    alike = [some for rest, some in ranked if rest <= 1.02 * ranked[0][0] + 0.02]
+    return max(alike, key=lambda some: sum((group, frozenset(at)) in named for group, at in some))
 
 
 def _repeated(setting: Setting, hypothesis: Hypothesis) -> PeriodicData:
@@ -157,7 +166,9 @@ def _without(hypothesis: Hypothesis, places: set[Place]) -> Hypothesis:
     linear = hypothesis.linear
     if not as_corrections(hypothesis):
         linear = tuple(item for item in linear if stays(item[0][1], "internal"))
-    return replace(hypothesis, effects=effects, linear=linear)
+    # What took the place of an effect of the model is the first; where it is not claimed, the model's own stays.
+    dropped = hypothesis.dropped if effects[:1] == hypothesis.effects[:1] else ()
+    return replace(hypothesis, effects=effects, linear=linear, dropped=dropped)
 
 
 def _part(refined: Refined, kept: Hypothesis) -> Refined:

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from creak.gap.chains import chained
 from creak.gap.combinations import Combinations
 from creak.gap.scan import Found, Place, Scan, Trial
 from creak.gap.view import View, samples_of
@@ -108,6 +109,7 @@ def _laws(scan: Scan, key: _Key) -> list[Laws]:
     laws: list[Laws] = [(trial,) for trial in single[:_LAWS]]
     if key.double:
         laws = list(Combinations(alone, key.spot, alone.none, single).best(2, _LAWS))
+        laws += [pair for place in key.spot for pair in chained(alone, place)]
     bound = max(_FAILED, _HOPELESS * alone.rest())
     return sorted((item for item in laws if _rest(item) < bound), key=_rest)
 
@@ -181,7 +183,12 @@ def _spots(scan: Scan) -> list[Spot]:
     patterns: list[Complex] = []
     for _, group, at in sorted(scan.places(scan.none), key=lambda item: item[1:]):
         q = _unit(_patterns(view, [(group, at)]))[0][..., 0]
-        alike = [np.median(np.abs(np.sum(q.conj() * other, axis=1))) > 1 - _ALIKE**2 for other in patterns]
+        # A force at the end of a structure may move its node alone; a sensor spoils the motion, a force does not.
+        alike = [
+            (spot[0][0] == "sensor") == (group == "sensor")
+            and np.median(np.abs(np.sum(q.conj() * other, axis=1))) > 1 - _ALIKE**2
+            for spot, other in zip(spots, patterns, strict=True)
+        ]
         if any(alike):
             spots[alike.index(True)].append((group, at))
         else:
@@ -232,7 +239,7 @@ def _unit(patterns: Complex) -> tuple[Complex, Real]:
 
 def _whole(view: View, trial: Trial) -> Trial:
     """The same law with the pattern that it has where nothing is left free."""
-    return replace(trial, column=trial.candidate.column(view, trial.inner, np.arange(len(view.r))))
+    return replace(trial, column=replace(trial.column, q=trial.candidate.pattern(view)))
 
 
 def _left(view: View) -> float:
