@@ -66,6 +66,27 @@ def test_import_reads_what_export_wrote(suffix, tmp_path, rig, realisations, ste
     np.testing.assert_array_equal(got_y, y)
 
 
+@pytest.mark.parametrize("suffix", [".mat", ".csv"])  # universal files have no NaN
+def test_a_transient_period_that_never_came_is_read_back_as_such(suffix, tmp_path):
+    """Kills an export that import refuses: what counts for nothing may lack."""
+    rig = Rig("rig", 100.0, 16, 2, (1, 2, 3), (Node("1", "m", "N"), Node("2", "m", "N")))
+    u, y = measure(rig, realisations=2, periods=4)
+    for array in (u, y):
+        array[2, :, 16:32] = np.nan
+    recording = open_recording(recorded(tmp_path / "m.mcap", u, y, rig))
+    found = list(recording.experiments())
+    assert [len(found), np.isnan(found[2].y).all(axis=(1, 2)).tolist()] == [4, [False, True, False, False]]
+    if suffix == ".mat":
+        files = [tmp_path / "m.mat"]
+        write_mat(files[0], found, recording)
+    else:
+        files = [tmp_path / f"m-{e}{suffix}" for e in range(len(found))]
+        for file, experiment in zip(files, found, strict=True):
+            write_csv(file, experiment, recording)
+    for got, sent in zip(read_measurement(files, rig), (u, y), strict=True):
+        np.testing.assert_array_equal(got, sent)
+
+
 @pytest.fixture(scope="module")
 def three(tmp_path_factory):
     """A recording of three masses, and what its replay says."""

@@ -168,6 +168,17 @@ def test_a_sink_that_cannot_be_opened_closes_the_others(run):
     assert first.end.status is RunStatus.FAILED
 
 
+def test_a_sink_that_cannot_be_opened_closes_the_source(run):
+    class Closed(Keeper):
+        def open(self, run):
+            raise StorageError("read-only")
+
+    source = Frames(run, [])
+    with pytest.raises(StorageError):
+        drive(source, [Closed()])
+    assert source._closed.is_set()
+
+
 class Recorded(Frames):
     """A source that `drive` reads ahead."""
 

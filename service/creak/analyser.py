@@ -143,6 +143,8 @@ class Analyser:
                     owned = fleet.share(connection, self.name, list(self._plans), self._lease, idle)
             except StorageError as error:
                 self._warn("leases", error)
+            except Exception:  # noqa: BLE001 - who renews no lease loses its rigs and must not die of it unsaid
+                _log.exception("leases")
             else:
                 with self._news:
                     self._owned = owned

@@ -32,7 +32,10 @@ def write_csv(path: Path, experiment: Experiment, recording: OpenedRecording) ->
 
 
 def write_uff(path: Path, experiment: Experiment, recording: OpenedRecording) -> None:
-    """Write one experiment as universal file datasets 58 (binary, double), beside a dataset 164 that says SI."""
+    """Write one experiment as universal file datasets 58 (binary, double), beside a dataset 164 that says SI.
+
+    A lost transient period is written as zeros: pyuff writes no NaN.
+    """
     import pyuff
 
     rig = recording.rig

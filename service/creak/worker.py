@@ -218,7 +218,11 @@ def drive(source: Source, sinks: Sequence[Sink], *, ahead: bool = True) -> tuple
     CreakError
         What the source or a sink raised, after the run was closed as failed.
     """
-    path = _Path(source, sinks)
+    try:
+        path = _Path(source, sinks)
+    except BaseException:
+        source.close()
+        raise
     monitor = path.monitor
     assert isinstance(monitor, Monitor)
     try:

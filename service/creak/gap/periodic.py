@@ -94,7 +94,8 @@ def gather(run: Run, items: Iterable[Frame | Fault]) -> PeriodicData:
     """
     rig = run.rig
     collector = Collector(run)
-    pending: dict[tuple[int, int, int], Frame] = {}
+    pending: dict[tuple[int, int], Frame] = {}  # of the realisation at hand
+    current = -1
     indices: list[int] = []
     u: list[Real] = []
     y: list[Real] = []
@@ -106,19 +107,22 @@ def gather(run: Run, items: Iterable[Frame | Fault]) -> PeriodicData:
         collected = collector.take(item)
         frame = collected.frame
         if frame.status is FrameStatus.ACCEPTED:
-            pending[frame.realisation, frame.experiment, frame.period] = frame
+            if frame.realisation > current:  # the one before is over, complete or not
+                current = frame.realisation
+                pending.clear()
+            pending[frame.experiment, frame.period] = frame
         if collected.realisation is None:
             continue
         index = collected.realisation.index
         for c in range(rig.q):
-            whole = [pending[index, c, p] for p in range(rig.transient_periods, run.periods)]
+            whole = [pending[c, p] for p in range(rig.transient_periods, run.periods)]
             mean = np.mean([frame.y for frame in whole], axis=0)
             for frame in whole:
                 scatter += np.abs(scipy.fft.rfft(frame.y - mean, axis=-1).T / rig.period_samples) ** 2
             indices.append(index)
             u.append(_repeated(rig, np.array([frame.u for frame in whole]), index, c))
             y.append(mean)
-        pending = {key: kept for key, kept in pending.items() if key[0] > index}
+        pending.clear()
     if not indices:
         raise MeasurementError("the recording has no complete realisation, so there is nothing to diagnose")
     if run.steady_periods == 1:

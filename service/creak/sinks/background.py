@@ -194,6 +194,9 @@ class BackgroundStore:
             except StorageError as error:
                 self._note_failure(error)
                 time.sleep(_RETRY_SECONDS)
+            except Exception:  # noqa: BLE001 - a thread that dies would leave all that comes unwritten
+                _log.exception("%s: the store", self._rig)
+                time.sleep(_RETRY_SECONDS)
             else:
                 self._note_success()
 

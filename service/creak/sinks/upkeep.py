@@ -52,3 +52,5 @@ class Upkeep:
                         thin_history(connection)
             except (StorageError, OSError) as error:
                 _log.warning("upkeep is put off: %s", error)
+            except Exception:  # noqa: BLE001 - the next turn may do what this one could not
+                _log.exception("upkeep is put off")

@@ -19,6 +19,7 @@ from creak.sources.measurement_checks import (
     check_inputs,
     check_period,
     check_shapes,
+    never_came,
     shown,
 )
 from creak.sources.measurement_csv import read_csv
@@ -55,7 +56,8 @@ def read_measurement(files: Sequence[Path], rig: Rig) -> tuple[Real, Real]:
     MeasurementError
         One line that names the file and the variable, with what was found and what was expected: a file that
         cannot be read, a missing variable, a wrong shape, no whole periods, no steady period, an incomplete
-        realisation, samples that are no finite real numbers, an input matrix that is singular at a line.
+        realisation, samples that are no finite real numbers (a whole transient period may be NaN: it was lost), an
+        input matrix that is singular at a line.
     """
     if not files:
         raise MeasurementError("no file given, expected at least one")
@@ -186,13 +188,16 @@ class Measurement:
         )
 
     def frames(self) -> Iterator[Frame | Fault]:
-        """Yield all period frames, transient ones included: period by period, experiment by experiment."""
+        """Yield all period frames, transient ones included, but for those that never came; in their order."""
         rig, N = self.run.rig, self.run.rig.period_samples
+        lost = never_came(self._u, self._y, rig)
         for e in range(len(self._u)):
             realisation, experiment = divmod(e, rig.q)
             for period in range(self.run.periods):
                 if self._closed.is_set():
                     return
+                if period < rig.transient_periods and lost[e, period]:
+                    continue
                 samples = slice(period * N, (period + 1) * N)
                 before = (e * self.run.periods + period) * N
                 yield Frame(

@@ -104,8 +104,31 @@ def check_shapes(u: NDArray[Any], y: NDArray[Any], rig: Rig, where: str) -> None
         )
 
 
+def never_came(u: Real, y: Real, rig: Rig) -> NDArray[np.bool_]:
+    """Transient periods that hold nothing but NaN, as `creak export` writes those that were lost.
+
+    Parameters
+    ----------
+    u : array, (E, q, T)
+    y : array, (E, n, T)
+    rig : Rig
+
+    Returns
+    -------
+    array, (E, transient periods)
+    """
+    periods = rig.transient_periods
+    lost = np.ones((len(u), periods), dtype=np.bool_)
+    for array in (u, y):
+        begun = array[..., : periods * rig.period_samples].reshape(*array.shape[:2], periods, rig.period_samples)
+        lost &= np.isnan(begun).all(axis=(1, 3))
+    return lost
+
+
 def check_finite(u: Real, y: Real, rig: Rig, files: Sequence[str]) -> None:
     """Refuse samples that are not finite, or so large that their powers would not be.
+
+    Transient periods that never came are passed over.
 
     Parameters
     ----------
@@ -121,8 +144,10 @@ def check_finite(u: Real, y: Real, rig: Rig, files: Sequence[str]) -> None:
         With their number and the first place: experiment, channel and sample, counted from 0.
     """
     inputs = [rig.nodes[i].name for i in rig.driven]
+    lost = np.repeat(never_came(u, y, rig), rig.period_samples, axis=1)[:, None]  # (E, 1, transient samples)
     for name, array, channels in (("u", u, inputs), ("y", y, [node.name for node in rig.nodes])):
         bad = ~(np.abs(array) < LARGEST)
+        bad[..., : lost.shape[-1]] &= ~lost
         count = int(np.count_nonzero(bad))
         if count:
             experiment, channel, sample = (int(i) for i in np.unravel_index(np.argmax(bad), bad.shape))
