@@ -76,7 +76,7 @@ def standing(search: Search, final: Refined) -> Standing:
         except ConfigurationError:
             break
         left = _left(scan, freed)
-        if freed and left - 1 <= _ALIKE * (_left(null, freed) - 1) + NOISE - 1:
+        if left - 1 <= _ALIKE * (_left(null, freed) - 1) + NOISE - 1:
             break
         singles = [(rest, ((group, at),)) for rest, group, at in scan.places(scan.none, freed)]
         pairs = [] if freed or n < 3 else [(rest, (one, other)) for rest, one, other in scan.place_pairs()]
