@@ -45,6 +45,7 @@ SMALLEST: Final = 0.002
 """Least inner parameter that is tried, in standard deviations of the motion."""
 
 _LEAST_GAIN: Final = 0.02
+_PLAIN: Final = (CubicStiffness, QuadraticStiffness, QuadraticDamping, *LINEAR, ActuatorGain, SensorGain)
 
 
 _BALANCED = 30  # steps to the mean of a motion
@@ -74,9 +75,14 @@ class Candidate:
         """Number of free parameters."""
         return len(self.kind.parameter_names())
 
+    @property
+    def one_inner(self) -> bool:
+        """Whether there is one inner parameter that may be moved smoothly."""
+        return self.kind not in (*_PLAIN, Resonator, SensorQuantisation)
+
     def grid(self, view: View, experiments: Indices) -> Real:
         """Inner parameters to begin with; one dummy where there is none."""
-        if self.kind in (CubicStiffness, QuadraticStiffness, QuadraticDamping, *LINEAR, ActuatorGain, SensorGain):
+        if self.kind in _PLAIN:
             return np.ones(1)
         if self.group == "internal":
             d, v = self._motion(view, experiments)

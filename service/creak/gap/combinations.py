@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from creak.gap.candidates import Candidate, candidates_at
 from creak.gap.regression import LINEAR, Indices
 from creak.gap.scan import Place, Scan, Trial, massless
-from creak.gap.several import Set, polish, rest, turn
+from creak.gap.several import Set, jointly, rest, turn
 from creak.mechanics.effects import Resonator
 from creak.mechanics.electronics import SensorQuantisation
 from creak.mechanics.steady import Each
@@ -147,7 +147,7 @@ class Combinations:
         rough = (self._twos() if size == 2 else self._threes())[: _ONCE * most]
         tried = [self._trials(chosen) for _, chosen in rough]
         once = sorted(each(partial(turn, self.scan, free=self.free), tried), key=rest)
-        return sorted(each(partial(polish, self.scan, free=self.free), once[:most]), key=rest)
+        return sorted(each(partial(jointly, self.scan, free=self.free), once[:most]), key=rest)
 
     def _twos(self) -> list[tuple[float, tuple[int, ...]]]:
         left, _, _ = self.system.pairs()
