@@ -14,6 +14,7 @@ from creak.mechanics.electronics import (
     SensorClipping,
     SensorDelay,
     SensorGain,
+    SensorQuantisation,
 )
 from creak.mechanics.steady import simulate_steady
 from creak.mechanics.structure import Link, Lumped, PointMass
@@ -69,6 +70,9 @@ def test_of_one_node_actuator_and_sensor_are_alternatives(effect):
         ActuatorDelay(("1",), 0.1 / RIG.sample_rate),
         SensorDelay(("3",), 0.1 / RIG.sample_rate),
         SensorClipping(("1",), 4e-3),
+        SensorQuantisation(
+            ("1",), 4e-4
+        ),  # told by its step alone: no law beside it, as a fit of few steps is rough
     ],
     ids=lambda effect: effect.effect,
 )

@@ -195,7 +195,7 @@ def conclude(
         refined, oversampling = again, finer
         if np.all(np.abs(moved) < 0.1 * errors):
             break
-    refined = _rounded(setting, refined, fitted, held, oversampling, each)
+    refined = rounded(setting, refined, fitted, held, oversampling, each)
     # Weights that are estimated from nu degrees of freedom lose nu/(nu - 2) of what they seem to know, and
     # what a fit leaves beyond noise counts as noise.
     nu = setting.data.degrees
@@ -203,13 +203,28 @@ def conclude(
     return replace(refined, covariance=refined.covariance * (nu / (nu - 2)) * more_left)
 
 
-def _rounded(
-    setting: Setting, refined: Refined, fitted: Indices, held: Indices, oversampling: int, each: Each
+def rounded(
+    setting: Setting,
+    refined: Refined,
+    fitted: Indices,
+    held: Indices,
+    oversampling: int | None = None,
+    each: Each = map,
 ) -> Refined:
-    """Steps of quantised sensors found as such, in turn with all else."""
+    """Fit with the steps of quantised sensors found as such, in turn with all else; the same fit without any.
+
+    Parameters
+    ----------
+    setting : Setting
+    refined : Refined
+        Near enough: Gauss-Newton steps leave a quantiser's step where they begin, its likelihood has no slope.
+    fitted, held, oversampling, each
+        As for `refine`.
+    """
     which = quantised(refined.hypothesis)
     if not which or not refined.settled:
         return refined
+    oversampling = oversampling or setting.samples_a_sample(refined.hypothesis)
     spreads = {}
     for turn in range(2 if refined.hypothesis.size > 1 else 1):
         hypothesis = refined.hypothesis

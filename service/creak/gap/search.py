@@ -13,7 +13,7 @@ from creak.gap.combinations import Combinations, best_sets
 from creak.gap.growth import grown
 from creak.gap.hypothesis import Hypothesis, apply, own_elements, plausible
 from creak.gap.ranking import Ranked, Searched, significant
-from creak.gap.refine import Refined, refine
+from creak.gap.refine import Refined, refine, rounded
 from creak.gap.regression import Indices
 from creak.gap.scan import Found, Place, Scan, Trial, replacement, trials_at
 from creak.gap.setting import Setting
@@ -299,7 +299,7 @@ class Search:
 
 def _fitted(setting: Setting, few: Indices, aside: Indices, hypothesis: Hypothesis) -> Refined:
     """A hypothesis fitted to the output, without the linear changes that are none."""
-    refined = refine(setting, hypothesis, few, aside, 3)
+    refined = rounded(setting, refine(setting, hypothesis, few, aside, 3), few, aside)
     sharper = significant(refined, {own.key for own in own_elements(setting.model)})
     if refined.settled and sharper.size < refined.hypothesis.size:
         refined = refine(setting, sharper, few, aside, 2)
