@@ -56,3 +56,15 @@ def test_a_stand_in_is_not_claimed_and_what_is_right_is(effects, supposed, kept,
     words = unsettled(found.unsettled)
     assert len(words) == len(found.unsettled)
     assert all(name in words[0] for name in (gone[1] if gone else ()))
+
+
+def test_an_actuator_and_a_sensor_of_one_node_are_tried_each():
+    """Kills laws kept by the name of their node alone: those of the sensor took the place of the others."""
+    data = recording((CUBIC,))
+    every = np.arange(len(data.u))
+    search = Search(Setting(RIG, CHAIN, data, 400), every[:9], every[9:12], _silent)
+    scan = search.scan(search.setting)
+    places = [("actuator", ("2",)), ("sensor", ("2",))]
+    _, trials = search.singles(scan, [(1.0, *place) for place in places], scan.none)
+    assert list(trials) == places
+    assert all(item.candidate.group == group for (group, _), tried in trials.items() for item in tried)

@@ -173,7 +173,7 @@ class BesideLinear:
         if first.hypothesis.effects:
             places = scan.places(free)
             _, trials = self.search.singles(scan, places, free)
-            chosen = [[trial] for at in trials.values() for trial in at if np.isfinite(trial.rest)]
+            chosen = [[trial] for tried in trials.values() for trial in tried if np.isfinite(trial.rest)]
             chosen.sort(key=lambda item: item[0].rest)
             chosen = chosen[:3]
         else:

@@ -104,7 +104,7 @@ class Search:
         one_place = many_nodes and places[0][0] < ONE_PLACE
         self._begin("one effect", 0.1, 0.25)
         singles: list[Found] = []
-        trials: dict[tuple[str, ...], list[Trial]] = {}
+        trials: dict[Place, list[Trial]] = {}
         # A law leaves at least what a free force at its place leaves.
         if not many_nodes or places[0][0] < max(MANY, HOPELESS * self.before):
             singles, trials = self.singles(base, places, base.none)
@@ -180,18 +180,18 @@ class Search:
         scan: Scan,
         places: Sequence[tuple[float, str, tuple[str, ...]]],
         free: NDArray[np.bool_],
-    ) -> tuple[list[Found], dict[tuple[str, ...], list[Trial]]]:
+    ) -> tuple[list[Found], dict[Place, list[Trial]]]:
         """Every law at the places that are worth it, the best first, and the trials behind them by place."""
         trials = {}
         found = []
         worth = [(group, at) for _, group, at in _worth(places)]
-        for (_, at), tried in zip(worth, self.each(partial(trials_at, scan, free), worth), strict=True):
+        for place, tried in zip(worth, self.each(partial(trials_at, scan, free), worth), strict=True):
             self.step()
-            trials[at] = tried
+            trials[place] = tried
             had = {(type(effect), effect.at) for effect in self.setting.model.effects}
             found += [
                 scan.hypothesis([trial], free)
-                for trial in trials[at]
+                for trial in tried
                 if np.isfinite(trial.rest) and (trial.candidate.kind, trial.candidate.at) not in had
             ]
         found = [item for item in found if plausible(self.setting.model, item.hypothesis)]
@@ -210,7 +210,7 @@ class Search:
         self,
         scan: Scan,
         places: Sequence[tuple[float, str, tuple[str, ...]]],
-        trials: dict[tuple[str, ...], list[Trial]],
+        trials: dict[Place, list[Trial]],
         free: NDArray[np.bool_],
         *,
         one_place: bool,
@@ -228,13 +228,11 @@ class Search:
             ]
         both = list(dict.fromkeys(place for pair in ranked for place in pair[1:]))[:_PAIRED]
         spots: list[Sequence[Place]] = [some for some in (both, _alike(places), [places[1][1:]]) if some]
-        unknown: dict[tuple[str, ...], Place] = {}
-        for place in (place for some in spots for place in some if place[1] not in known):
-            unknown.setdefault(place[1], place)
-        for at, tried in zip(unknown, self.each(partial(trials_at, scan, free), unknown.values()), strict=True):
+        unknown = list(dict.fromkeys(place for some in spots for place in some if place not in known))
+        for place, tried in zip(unknown, self.each(partial(trials_at, scan, free), unknown), strict=True):
             self.step()
-            known[at] = tried
-        tasks = [(some, [trial for _, at in some for trial in known[at]]) for some in spots]
+            known[place] = tried
+        tasks = [(some, [trial for place in some for trial in known[place]]) for some in spots]
         found = self.each(partial(best_sets, scan, free, 2, _LAWS), tasks)
         sets = [one for some in found for one in some]
         return [scan.hypothesis(item, free) for item in several.distinct(sets)]
