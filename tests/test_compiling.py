@@ -35,3 +35,32 @@ def test_a_function_is_stamped_with_the_files_of_what_it_calls():
     assert len(own) == 1
     assert own[0] in calls
     assert len(calls) == 3  # its own, and those of the packed matrices and of the residuals
+
+
+FUSED = """
+import sys
+import creak.gap, creak.preparation
+from creak.compiling import _called, _stamps
+
+def fused(dispatcher):
+    return bool(dispatcher.targetoptions.get("fastmath"))
+
+def inlined(dispatcher):
+    return dispatcher.targetoptions.get("inline") == "always"
+
+loops = [d for d in _stamps if fused(d)]
+assert len(loops) > 15
+for loop in loops:
+    for callee in _called(loop.py_func):
+        if not inlined(callee):
+            print(loop.py_func.__name__, "calls", callee.py_func.__name__)
+"""
+
+
+def test_loops_whose_products_are_fused_call_nothing_that_stands_by_itself():
+    """Kills figures whose last bits hang on whether the code was compiled just now or comes from the cache.
+
+    Of a function that is called, a process that compiles has two copies, optimised apart, and runs either.
+    """
+    done = subprocess.run([sys.executable, "-c", FUSED], capture_output=True, text=True, check=True)
+    assert done.stdout == ""

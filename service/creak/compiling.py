@@ -27,6 +27,15 @@ def vectorised(function: _Function) -> _Function:
     return _compiled(function, fastmath={"contract"})
 
 
+def part(function: _Function) -> _Function:
+    """Let a function be a part of the `vectorised` or `reducing` loops that call it, as if it stood there.
+
+    Otherwise each of them would hold a copy, and the process the function itself: which of them runs, and so how
+    products and sums are fused, would hang on whether the loop was compiled just now or comes from the cache.
+    """
+    return _compiled(function, fastmath={"contract"}, inline="always")
+
+
 def reducing(function: _Function) -> _Function:
     """Compile like `vectorised`, sums in any order: for sums over long arrays of finite numbers."""
     return _compiled(function, fastmath={"contract", "reassoc", "nnan", "nsz"})

@@ -1,11 +1,11 @@
 """Gauss-Jordan elimination on a tile of lines at once, compiled; real and imaginary parts apart."""
 
-from creak.compiling import vectorised
+from creak.compiling import part
 from creak.hermitian import TILE
 from creak.records import Real
 
 
-@vectorised
+@part
 def eliminate(real: Real, imag: Real, pivots: Real, larger: Real, a: Real, b: Real) -> None:
     """Solve ``A X = B`` in the place of ``[A B]``, with partial pivoting in each line by itself.
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from creak.compiling import vectorised
+from creak.compiling import part, vectorised
 from creak.records import Complex, Real
 
 TILE = 64
@@ -37,7 +37,7 @@ def unpack(packed: Real, matrices: Complex) -> None:
             matrices[i, i, f] = packed[i * i + 2 * i, f]
 
 
-@vectorised
+@part
 def load(packed: Real, q: int, first: int, m: int, real: Real, imag: Real) -> None:
     """Lower half of a tile of moments, and the upper half of the inputs'."""
     for i in range(len(real)):
@@ -55,7 +55,7 @@ def load(packed: Real, q: int, first: int, m: int, real: Real, imag: Real) -> No
                 imag[j, i, t] = -imag[i, j, t]
 
 
-@vectorised
+@part
 def shear_tile(D_real: Real, D_imag: Real, real: Real, imag: Real) -> None:
     """Moments of ``[U; R + D U]`` in the place of those of ``[U; R]``, one tile, in the lower half."""
     n, q = D_real.shape[:2]

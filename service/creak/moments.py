@@ -7,7 +7,7 @@ lines at once. Hermitian matrices are packed as :mod:`creak.hermitian` has them.
 
 import numpy as np
 
-from creak.compiling import compiled, vectorised
+from creak.compiling import compiled, part, vectorised
 from creak.elimination import eliminate
 from creak.hermitian import TILE
 from creak.records import Complex, Real
@@ -97,7 +97,7 @@ def line_powers(spectra: Complex, mean: Real, within: Real) -> None:
             within[i, f] = change
 
 
-@vectorised
+@part
 def _product(real: Real, imag: Real, start: int, stop: int, i: int, j: int, a: Real, b: Real) -> None:
     """``sum v_i conj(v_j)`` over some rows of a tile, ``(rows, w, tile)``; three rows at a time spare stores."""
     for t in range(TILE):
@@ -122,7 +122,7 @@ def _product(real: Real, imag: Real, start: int, stop: int, i: int, j: int, a: R
             b[t] += imag[r, i, t] * real[r, j, t] - real[r, i, t] * imag[r, j, t]
 
 
-@vectorised
+@part
 def _store(a: Real, b: Real, i: int, j: int, packed: Real, first: int, m: int) -> None:
     """Entry ``a + jb`` of a row and column of packed moments, from a line on."""
     row = i * i + 2 * j

@@ -7,7 +7,7 @@ written: what an estimate needs of a line is worked out while its moments are at
 
 import numpy as np
 
-from creak.compiling import vectorised
+from creak.compiling import part, vectorised
 from creak.hermitian import TILE, load, shear_tile
 from creak.records import Complex, Real
 
@@ -117,7 +117,7 @@ def residual_powers(
                         powers[6, i, first + t] += a[t] * a[t] + b[t] * b[t]
 
 
-@vectorised
+@part
 def _moved(x_real: Real, x_imag: Real, real: Real, imag: Real, row: int, total: Real, a: Real, b: Real) -> None:
     """Power of ``R_i + x U``, ``(q, tile)``, from the moments of ``[U; R]``; `row` is that of ``R_i``."""
     for t in range(TILE):
@@ -135,7 +135,7 @@ def _moved(x_real: Real, x_imag: Real, real: Real, imag: Real, row: int, total: 
             total[t] += power * real[j, j, t] + 2.0 * (x_real[j, t] * a[t] + x_imag[j, t] * b[t])
 
 
-@vectorised
+@part
 def _form(g_real: Real, g_imag: Real, start: int, real: Real, imag: Real, total: Real, a: Real, b: Real) -> None:
     """``g A g^H`` of a row ``(q + n, tile)`` that begins at channel `start`."""
     for t in range(TILE):
@@ -210,7 +210,7 @@ def least_squares_powers(
     return True
 
 
-@vectorised
+@part
 def decompose(q: int, m: int, real: Real, imag: Real, L_real: Real, L_imag: Real, d: Real) -> bool:
     """``A = L D L^H`` of the first q rows of a tile, `L` of unit diagonal; False if `D` is not above 0."""
     for j in range(q):
@@ -235,7 +235,7 @@ def decompose(q: int, m: int, real: Real, imag: Real, L_real: Real, L_imag: Real
     return True
 
 
-@vectorised
+@part
 def _minus_divided(
     row_real: Real, row_imag: Real, L_real: Real, L_imag: Real, d: Real, K_real: Real, K_imag: Real
 ) -> None:

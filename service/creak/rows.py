@@ -6,7 +6,7 @@ Lines last and in tiles, as in :mod:`creak.residuals`.
 import numpy as np
 from numpy.typing import NDArray
 
-from creak.compiling import vectorised
+from creak.compiling import part, vectorised
 from creak.elimination import eliminate
 from creak.hermitian import TILE, load
 from creak.records import Complex, Real
@@ -68,7 +68,7 @@ def pulls(S: Complex, inputs: Complex, pull: Complex) -> bool:
     return True
 
 
-@vectorised
+@part
 def _size(v_real: Real, v_imag: Real, size: Real) -> None:
     """Lengths of the vectors of a tile, ``(n, tile)``."""
     for t in range(TILE):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from creak.compiling import reducing
+from creak.compiling import part, reducing
 from creak.quality.spectra import coherent_power, early_differences, noise_gains, period_changes
 from creak.records import Complex, Real
 
@@ -126,7 +126,7 @@ def period_drift(spectra: Complex, lines: tuple[int, ...], period_samples: int) 
     return Drift(period_samples - shift, share)
 
 
-@reducing
+@part
 def _range(x: Real) -> tuple[float, float]:
     """Smallest and largest sample; in lanes, since the compiler does not split such a search by itself."""
     lanes = 64
@@ -142,7 +142,7 @@ def _range(x: Real) -> tuple[float, float]:
     return low.min(), high.max()
 
 
-@reducing
+@part
 def _piled_up(x: Real, low: float, high: float, strip: float) -> int:
     """How many samples lie in a strip at the larger or at the smaller end, whichever holds more."""
     above, below = 0, 0
