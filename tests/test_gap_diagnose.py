@@ -14,6 +14,7 @@ from creak.gap.verdict import judge
 from creak.mechanics.effects import (
     Clearance,
     CubicStiffness,
+    Mass,
     OneSidedStop,
     QuadraticStiffness,
     Resonator,
@@ -56,6 +57,7 @@ def test_the_noise_bound_holds_in_99_of_100_recordings():
         ActuatorSaturation(("1",), 90.0),
         SensorGain(("2",), 1.04),
         Stiffness(("1", "3"), 800.0),
+        Mass(("1", "2"), 0.02),  # an inerter
     ],
     ids=lambda effect: effect.effect,
 )

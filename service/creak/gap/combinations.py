@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from creak.gap.candidates import Candidate, candidates_at
 from creak.gap.regression import LINEAR, Indices
-from creak.gap.scan import Place, Scan, Trial, massless
+from creak.gap.scan import Place, Scan, Trial
 from creak.gap.several import Set, jointly, rest, turn
 from creak.mechanics.effects import Resonator
 from creak.mechanics.electronics import SensorQuantisation
@@ -107,8 +107,7 @@ class Combinations:
             made += [
                 (candidate, [float(x) for x in candidate.grid(scan.view, scan.few)])
                 for candidate in candidates_at(group, at)
-                if candidate.kind not in _TOO_FINE
-                and not (candidate.kind in LINEAR and (free.any() or massless(candidate)))
+                if candidate.kind not in _TOO_FINE and not (candidate.kind in LINEAR and free.any())
             ]
         made += [(item.candidate, [item.inner]) for item in alone if item.candidate.kind in _TOO_FINE]
         self.laws = [candidate for candidate, _ in made]

@@ -141,7 +141,7 @@ class Scan:
         for candidate in candidates_at(group, at):
             if kinds is not None and candidate.kind not in kinds:
                 continue
-            if candidate.kind in LINEAR and (free.any() or massless(candidate)):
+            if candidate.kind in LINEAR and free.any():
                 continue
             found.append(self.trial(candidate, free, beside))
         if (
@@ -242,11 +242,6 @@ class Scan:
 
 def _rest(item: tuple[Any, ...]) -> float:
     return float(item[0])
-
-
-def massless(candidate: Candidate) -> bool:
-    """Whether it is a mass between two nodes, which is none."""
-    return candidate.kind.effect == "mass" and candidate.at[1] != GROUND
 
 
 def trials_at(scan: Scan, free: NDArray[np.bool_], place: Place) -> list[Trial]:
