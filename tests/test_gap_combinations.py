@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from creak.gap.candidates import candidates_at
 from creak.gap.combinations import Combinations
 from creak.gap.scan import Scan
 from creak.gap.several import rest
@@ -85,3 +86,10 @@ def test_two_gaps_at_one_place_are_searched_at_once():
     assert {trial.candidate.kind for trial in best} == {Clearance, OneSidedStop}
     for trial, gap in ((trial, {Clearance: 3e-3, OneSidedStop: 4.2e-3}[trial.candidate.kind]) for trial in best):
         assert trial.inner == pytest.approx(gap, rel=0.01)
+
+
+@pytest.mark.parametrize("coefficient", [np.nan, np.inf])
+def test_a_coefficient_that_is_no_number_is_no_effect(coefficient):
+    """Kills a diagnosis that ends with an error because one of all laws could not be fitted."""
+    for group, at in PLACES:
+        assert all(law.effect(coefficient, 0.1) is None for law in candidates_at(group, at))

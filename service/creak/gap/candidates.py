@@ -49,6 +49,7 @@ _PLAIN: Final = (CubicStiffness, QuadraticStiffness, QuadraticDamping, *LINEAR, 
 
 
 _BALANCED = 30  # steps to the mean of a motion
+_FAR = 1e3  # times the motion that a mean may lie away from where it is
 
 
 @dataclass(frozen=True)
@@ -161,6 +162,8 @@ class Candidate:
     def effect(self, coefficient: float, inner: float | Real) -> Effect | None:
         """Effect with these numbers; None if they are none that it can have."""
         names = self.kind.parameter_names()
+        if not (np.isfinite(coefficient) and np.all(np.isfinite(inner))):
+            return None  # of a column that a strange inner parameter made infinite
         if self.kind in (ActuatorGain, SensorGain):
             if 1.0 + coefficient < _LEAST_GAIN:
                 return None  # silence explains everything, beside a structure that is free to vanish too
@@ -210,6 +213,11 @@ def resting(view: View, at: tuple[str, ...], law: Restoring, compliance: float) 
         With coefficient 1.
     compliance : float
         Static displacement per unit of the law's force.
+
+    Returns
+    -------
+    array, (E,)
+        0 where nothing balances, as the law pushes away harder than the structure holds.
     """
     d, v = relative(view, at, np.arange(len(view.r)))
     mean = np.zeros(len(d))
@@ -219,6 +227,8 @@ def resting(view: View, at: tuple[str, ...], law: Restoring, compliance: float) 
         # Never more than twice a plain step: a spring that pushes away could turn the slope round.
         slope = np.maximum(1.0 + compliance * (moved - force) / h, 0.5)
         step = (mean + compliance * force) / slope
+        if not np.max(np.abs(step)) <= _FAR * np.std(d):
+            return np.zeros(len(d))
         mean = mean - step
         if np.max(np.abs(step)) <= 1e-6 * np.std(d):
             break

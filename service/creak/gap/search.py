@@ -34,6 +34,7 @@ _SCANNED = 12  # experiments on which regressions are taken
 _PAIRED = 8  # places among which two laws are looked for
 _LAWS = 5  # pairs of them that are optimised to the end
 _COMPETING = 4  # best regressions that are fitted to the output
+_BENT = 0.05  # of the excess: what the right law may leave at a measured motion whose noise it bends
 
 
 class Search:
@@ -270,7 +271,7 @@ class Search:
         if not found:
             return ()
         least = found[0].rest - 1
-        if least > max(30.0, HOPELESS * (self.before - 1)):
+        if least > max(30.0, _BENT * (self.before - 1)):
             return ()
         close = [item for item in found[:_COMPETING] if item.rest - 1 <= max(0.3, 4 * least)]
         ranked = []
